@@ -369,7 +369,8 @@ def constant_estimates(found, dataset, bounds=None):
             units[name] = dataset.units.text(unit)
     priors = {}
     for part in found.law.frame:
-        units |= {p.name: dataset.units.text(p.unit) for p in part.parameters if p.unit is not None}
+        text = Unit.text if getattr(part, "is_absolute", False) else dataset.units.text
+        units |= {p.name: text(p.unit) for p in part.parameters if p.unit is not None}
         units |= dict.fromkeys(getattr(part, "angles", ()), "rad")
         priors |= {p.name: p for p in part.parameters if part.kind == "world"}
     for body in found.law.unseen:

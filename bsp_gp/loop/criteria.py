@@ -26,7 +26,7 @@ LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
 CAUSES = (
-    "law", "law_by_body", "law_by_scene", "law_by_source", "exponent", "number",
+    "law", "law_by_body", "law_by_scene", "law_by_source", "gravity", "exponent", "number",
     "constant_per_body", "constant_per_scene", "period", "ripple", "pulsing", "growing", "wind",
     "belt", "scale", "clock", "tilt", "zero", "pivot", "slant", "drift", "offset", "origin",
     "length", "delay", "exposure", "lens", "shutter", "perspective", "inclined", "late_log",

@@ -553,7 +553,7 @@ class _Turn:
         None where some cause leaves little, or a sum is likeliest: they were foreseen well enough.
         """
         # Random kicks leave nothing of any motion.
-        fitted = [row for row in self.rows[1:] if row.is_fit and row.kind != "kicks"]
+        fitted = [row for row in self.rows[1:] if row.is_fit and row.source != "kicks"]
         if min((self._left(self.fits[row.id]) for row in fitted), default=0.0) < EXPLAINED:
             return []
         fitted.sort(key=lambda row: -row.log_posterior)

@@ -11,6 +11,7 @@ CAUSES = {
     "law_by_body": "a force of another strength for each body",
     "law_by_scene": "a force of another strength in each scene",
     "law_by_source": "a force between bodies, each of which acts by a strength of its own",
+    "gravity": "gravity of bodies whose masses are not known",
     "scale": "a wrong scale of lengths", "clock": "a clock that runs wrong",
     "tilt": "a camera that is turned", "zero": "an angle whose zero is off",
     "pivot": "angles about a point beside the pivot", "slant": "a picture plane that is tilted",
@@ -39,6 +40,7 @@ OWN_STRENGTHS = {
     "law_by_body": "of another strength for each body",
     "law_by_scene": "of another strength in each scene",
     "law_by_source": "each body acting by a strength of its own",
+    "gravity": "by masses that it tells",
 }
 """What is said behind the name of a force."""
 KINDS = {

@@ -71,7 +71,9 @@ def test_a_pull_and_a_wind_are_found_though_neither_alone_is_likely():
     ("left", "formulas", "count"), [(9.0, ("f",), 1), (1.2, ("f",), 0), (9.0, ("f", "g"), 0)]
 )
 def test_a_second_is_asked_for_beside_single_laws_that_leave_much(left, formulas, count):
-    rows = [SimpleNamespace(id=k, is_fit=True, log_posterior=float(k)) for k in (0, 1, 2)]
+    rows = [
+        SimpleNamespace(id=k, is_fit=True, log_posterior=float(k), source="laws") for k in (0, 1, 2)
+    ]
     proposals = {
         1: SimpleNamespace(code="period", formulas=(), lead="p"),
         2: SimpleNamespace(code="law", formulas=formulas, lead="f"),

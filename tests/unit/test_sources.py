@@ -1,16 +1,20 @@
 """Bodies that act on all others by strengths of their own, which nobody has told."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.latents import Properties
 from bsp_gp.loop.proposers.sources import Sources
 from bsp_gp.loop.view import View
+from bsp_gp.physics.masses import with_usable_masses
 from bsp_gp.planning.means import Body, Experiment, means_from
+from bsp_gp.report.page import page_of
 
 SIGMA, TIMES = 0.02, np.linspace(0.0, 6.0, 31)
 STARTS = np.array([[-4.0, 1.0], [3.0, 3.5], [1.0, -4.0]])
@@ -96,3 +100,59 @@ def test_hidden_charges_are_found_and_hold_in_recordings_that_were_left_out():
         assert abs(one.value - true) < 3 * (one.high - one.low) / 1.645
     before, after = (report.total[key].rollout_rmse for key in ("before", "after"))
     assert after < 0.1 * before
+
+
+# --- two stars ------------------------------------------------------------------------------------
+
+SUNS, YEAR, AU = np.array([1.5, 0.6]), 365.25 * 86400, 1.495978707e11
+
+
+def stars(masses=None, n=60, sigma=0.01, seed=0):
+    """Two stars about their middle, in au and years, of 1.5 and 0.6 suns."""
+    total, axis, bent = SUNS.sum(), 4.0, 0.3
+    near = axis * (1 - bent)
+    fast = np.sqrt(4 * np.pi**2 * total * (1 + bent) / near)
+    times = np.linspace(0, 1.3 * axis**1.5 / np.sqrt(total), n)
+
+    def rates(_, z):
+        return [*z[2:], *(-4 * np.pi**2 * total * z[:2] / np.hypot(*z[:2]) ** 3)]
+
+    ways = solve_ivp(rates, (0, times[-1]), [near, 0, 0, fast], t_eval=times, rtol=1e-10,
+                     atol=1e-12).y[:2].T  # fmt: skip
+    noise = sigma * np.random.default_rng(seed).standard_normal((2, n, 2))
+    shares = {"A": -SUNS[1] / total, "B": SUNS[0] / total}
+    rows = [
+        {"t": t, "entity": name, "x": share * way[0] + off[0], "y": share * way[1] + off[1]}
+        for (name, share), own in zip(shares.items(), noise, strict=True)
+        for t, way, off in zip(times, ways, own, strict=True)
+    ]  # fmt: skip
+    known = {} if masses is None else {"properties": {"mass": masses}}
+    return bsp_gp.Dataset.from_frames(
+        pd.DataFrame(rows), units={"length": "au", "time": "yr"}, **known
+    )
+
+
+def test_the_masses_of_two_stars_are_asked_for_where_nobody_says_them():
+    """Told was a pull as the speed over the distance: of two stars the lighter one is faster."""
+    data = with_usable_masses(stars())
+    (best,) = proposals(data)
+    assert best.code == "gravity"
+    found = fit(best.hypothesis, data, starts=best.starts)
+    told = {c.name: c for c in constant_estimates(found, data)}
+    for name, mass in zip("AB", SUNS, strict=True):
+        own = told[f"mass[{name}]"]
+        assert own.unit == "kg" and own.value == pytest.approx(mass * 1.98841e30, rel=0.01)
+        assert own.high / own.low < 1.02
+
+
+def test_masses_that_are_said_are_not_asked_for():
+    assert not proposals(stars("A:1.5[Msun],B:0.6[Msun]"))
+
+
+@pytest.mark.slow
+def test_two_stars_are_told_by_their_masses():
+    report = bsp_gp.close_loop(stars(), "nothing", rng=0, n_bootstrap=0)
+    (done,) = [r for r in report.rounds if r.adopted]
+    assert (report.verdict, done.effect.code) == ("effect adopted", "gravity")
+    name = page_of(report).rounds[0].effect.name
+    assert name == "pull to the other body, as distance⁻², by masses that it tells"

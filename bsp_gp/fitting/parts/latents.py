@@ -36,6 +36,8 @@ class Properties(Part):
         Of bodies that the fitted scenes do not show.
     is_little_seen : bool
         Whether priors pull as normal ones do.
+    is_absolute : bool
+        Whether the numbers are of SI, though the data do not say in what theirs are.
     """
 
     latents: object
@@ -43,6 +45,7 @@ class Properties(Part):
     values: tuple = ()
     others: object = None
     is_little_seen: bool = False
+    is_absolute: bool = False
     kind = "world"
 
     @property

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.data.ephemeris import GRAVITATIONAL_CONSTANT
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.parts.latents import Properties
 from bsp_gp.fitting.tangent import as_pair
@@ -13,15 +14,21 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.proposers.by_owner import evidence_of
+from bsp_gp.loop.proposers.hidden import TYPES
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.owners import fitted_properties
 from bsp_gp.physics.force import ForceLaw, Term, numbered
 from bsp_gp.units import Unit
 
 FEWEST, MOST = 3, 60
-"""Bodies of which strengths are asked; of a pair each has one that acts on the other alone."""
+"""Bodies of which strengths are asked; of a pair each has one that acts on the other alone, which
+is asked for where their masses are not known."""
 POWERS = (-3, -2, -1, 1)
 """Of the distance."""
+ATTRACTION = (
+    f"{GRAVITATIONAL_CONSTANT} [m^3/(kg s^2)] * (m_i * m_j * inverse(norm(p_i - p_j)^2) * "
+    "normalize(p_j - p_i))"
+)
 WIDE = 3.0
 """Width of the prior of strengths, in the root mean square of those that the moments tell."""
 
@@ -41,17 +48,22 @@ class Sources:
         """The family of all powers."""
         names = list(dict.fromkeys(n for s in view.dataset.scenes for n in s.names))
         together = max(len(scene.names) for scene in view.dataset.scenes)
-        if together < FEWEST or len(names) > MOST or view.is_sky or view.dataset.units.is_angle:
+        is_unknown = {e.mass for s in view.dataset.scenes for e in s.entities} == {1.0}
+        fewest = 2 if is_unknown else FEWEST
+        if together < fewest or len(names) > MOST or view.dataset.units.is_angle:
+            return Family(self.name)
+        # Of the sky gravity is asked for, where what pulls is seen, and its masses are open.
+        if view.is_sky and (not view.is_astronomical or not is_unknown or view.reference):
             return Family(self.name)
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
         known = {to_text(term.formula) for term in view.fit.law.terms}
-        for power in POWERS:
+        for power in (-2,) if view.is_sky else POWERS:
             if any(_text(column, power) in known for column in fitted_properties(view.fit.law)):
                 continue
             columns = _columns(view, names, power)
             acts = np.isfinite(columns).all(axis=0) & np.any(columns, axis=0)
             columns = columns[:, acts]
-            if acts.sum() < FEWEST:
+            if acts.sum() < fewest:
                 continue
             score = view.score_forces(columns)
             n_tried += 1
@@ -62,7 +74,9 @@ class Sources:
             if height - alike > view.criteria.noise_nats:
                 strengths = np.zeros(len(names))
                 strengths[acts] = score.amplitudes
-                found.append(_proposal(view, power, names, strengths, score.rank, height))
+                own = (names, strengths, score.rank, height)
+                is_gravity = view.is_sky and np.all(strengths > 0)
+                found.append(_gravity(view, *own) if is_gravity else _proposal(view, power, *own))
         # Where some law with numbers that are known does as well, no other is asked for.
         least = view.promised - view.criteria.noise_nats
         found = sorted((p for p in found if p.promise > least), key=lambda p: -p.promise)
@@ -105,6 +119,24 @@ def _proposal(view, power, names, strengths, rank, height):
     return Proposal(
         "law_by_source", text, view.hypothesis + part + Forces(ForceLaw((Term(formula),), {})),
         -2 * view.criteria.cause_nats, 2 * height, rank, is_wide=True, formulas=(formula,),
+        n_dims=view.dataset.n_dims,
+    )  # fmt: skip
+
+
+def _gravity(view, names, strengths, rank, height):
+    """The attraction by masses that are not known."""
+    masses = strengths / GRAVITATIONAL_CONSTANT
+    spread = WIDE * float(np.sqrt(np.mean(np.square(masses))))
+    prior = Prior("truncated_normal", low=0.0, mean=0.0, sd=spread)
+    items = tuple(Latent(f"mass[{name}]", "mass", prior, (("", name),)) for name in names)
+    values = tuple(map(float, masses))
+    part = Properties(Latents(items), (("mass", Unit.of(kg=1)),), values, is_absolute=True)
+    formula = parse_formula(ATTRACTION, TYPES)
+    return Proposal(
+        "gravity", to_text(formula), view.hypothesis + part + Forces(
+            ForceLaw((Term(formula),), {})
+        ),
+        -view.criteria.cause_nats, 2 * height, rank, is_wide=True, formulas=(formula,),
         n_dims=view.dataset.n_dims,
     )  # fmt: skip
 
