@@ -52,6 +52,7 @@ from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.loop.proposal import FAULTS, continued
 from bsp_gp.loop.proposers import standard
+from bsp_gp.loop.proposers.kicks import is_kicked
 from bsp_gp.loop.questions import hidden_bound
 from bsp_gp.loop.unknown import unknowns
 from bsp_gp.loop.view import View
@@ -178,7 +179,9 @@ def close_loop(
     says("fitting the declared model")
     begun = ready.begin(starts, bounds, clock)
     if not all_rows:
-        ready, begun = _in_parts(ready, begun, declared, parts_rng, (starts, bounds, clock))
+        ready, begun = _in_parts(
+            ready, begun, declared, parts_rng, (starts, bounds, clock), criteria
+        )
     if earlier is not None:
         earlier = rounds_from(
             earlier, ready.hypothesis, ready.train, begun, bounds=bounds, criteria=criteria
@@ -245,25 +248,29 @@ def _words(declared):
     return set(re.findall(r"\w+", " ".join(laws)))
 
 
-def _in_parts(ready, begun, declared, rng, how):
+def _in_parts(ready, begun, declared, rng, how, criteria):
     """The data set and its first fit, without hands at the ends of recordings, these cut in parts.
 
     Where velocities jump, and not where that leaves nothing: then kicks are all that is missing,
-    and are found as such.
+    and are found as such. What is kicked at random is taken whole.
     """
+    whole = ready, begun
     if not lacks(begun, ready.noise.sigma) or bounce(ready.dataset):
-        return ready, begun
+        return whole
     dataset = without_hands(ready.dataset, ready.law)
     if dataset is not None:
         ready = _Ready(dataset, declared, rng)
         begun = ready.begin(*how)
     still_lacks = dataset is None or lacks(begun, ready.noise.sigma)
     dataset = in_parts(ready.dataset, begun) if still_lacks else None
-    if dataset is None:
-        return ready, begun
-    other = _Ready(dataset, declared, rng)
-    found = other.begin(*how)
-    return (other, found) if lacks(found, other.noise.sigma) else (ready, begun)
+    if dataset is not None:
+        other = _Ready(dataset, declared, rng)
+        found = other.begin(*how)
+        if lacks(found, other.noise.sigma):
+            ready, begun = other, found
+    if ready is not whole[0] and is_kicked(whole[0].dataset, whole[1], criteria):
+        return whole
+    return ready, begun
 
 
 class _Ready:

@@ -6,8 +6,13 @@ from scipy.integrate import solve_ivp
 from scipy.stats import multivariate_normal
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.kinks import kinks
 from bsp_gp.fitting.langevin import Track, _Model, _Part, models_of
 from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.proposers.kicks import is_kicked
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import verdict_sentence
 from bsp_gp.units import UnitSystem
@@ -187,3 +192,45 @@ def test_a_swing_that_can_be_foreseen_is_no_matter_of_kicks():
     report = close_loop(data, (), rng=0, n_bootstrap=0, max_rounds=1)
     effect = report.rounds[0].effect
     assert effect.code == "law" and "centre_x1" in effect.law and "norm(v_i)^2" in effect.law
+
+
+def recorded(track):
+    scene = Scene("one", track.times, track.places[:, None], (Entity("bead"),))
+    return Dataset(
+        "bead", (scene,), units=UnitSystem.from_declared({"length": "m", "time": "s"})
+    )
+
+
+def test_a_kick_that_is_larger_than_others_cuts_no_recording(monkeypatch):
+    """One of eight recordings of random kicks had been cut as if the body had been hit."""
+    data = recorded(kicked(np.random.default_rng(1), noise=0.05, n_rows=300))
+    (scene,) = data.scenes
+    assert kinks(scene.times, scene.positions[:, 0]), "its velocity jumps by chance"
+    begun = fit(Hypothesis.from_laws(data, "nothing"), data)
+    assert is_kicked(data, begun, Criteria())
+    smooth = np.stack([np.cos(scene.times), 0.4 * np.sin(1.7 * scene.times)], axis=1)
+    hit = smooth + np.maximum(scene.times - 14.05, 0)[:, None] * [3.0, -2.0]
+    noise = 0.05 * np.random.default_rng(0).standard_normal(hit.shape)
+    data = recorded(Track(scene.times, hit + noise))
+    assert not is_kicked(data, fit(Hypothesis.from_laws(data, "nothing"), data), Criteria())
+
+
+@pytest.mark.slow
+def test_what_is_kicked_at_random_is_taken_whole():
+    data = recorded(kicked(np.random.default_rng(1), noise=0.05, n_rows=300))
+    report = close_loop(data, "nothing", rng=0, n_bootstrap=0)
+    (done,) = [r for r in report.rounds if r.adopted]
+    assert done.effect.code == "kicks"
+
+
+@pytest.mark.parametrize("lasts, are_kicks", [(1.0, False), (0.0, True)])
+def test_a_force_that_goes_on_is_no_kick(lasts, are_kicks):
+    rng = np.random.default_rng(4)
+    pushes = rng.standard_normal((400, 2))
+    keep = np.exp(-0.1 / lasts) if lasts else 0.0
+    for row in range(1, 400):
+        pushes[row] = keep * pushes[row - 1] + np.sqrt(1 - keep**2) * pushes[row]
+    speeds = np.cumsum(pushes * 0.1, axis=0)
+    places = np.cumsum(speeds * 0.1, axis=0) + 2e-3 * rng.standard_normal((400, 2))
+    best = models_of([Track(0.1 * np.arange(400), places)], near=1.0)[0]
+    assert "kicks" in best.terms and best.are_kicks is are_kicks

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.langevin import FARTHEST, Track, models_of
 from bsp_gp.fitting.shooting import STATE_PRIOR
@@ -58,21 +59,12 @@ class Kicks:
 
     def propose(self, view):
         """The family of kicks; empty where something is declared, or forces are told instead."""
-        fit = view.fit
-        axes = np.flatnonzero(np.isfinite(fit.noise.levels))
-        tracks = _tracks(view.dataset, axes)
-        # Stars are kicked by nothing, and what kicks do, which is anything, hides what orbits do.
-        is_asked = not fit.law.terms and not fit.law.frame and tracks and not view.is_sky
-        if not is_asked or min(len(t.times) for t in tracks) < LEAST_ROWS:
+        tracks = _asked(view.dataset, view.fit)
+        if not tracks:
             return Family(self.name)
         if view.tick is not None:
             view.tick()
-        free = fit.noise.is_free.any()
-        noise = None if free else float(np.sqrt(np.nanmean(np.square(fit.noise.levels))))
-        criteria = view.criteria
-        models = models_of(tracks, noise, criteria.class_nats)
-        near = (m for m in models if models[0].score - m.score <= criteria.class_nats)
-        best = next((m for m in near if m.oddity >= criteria.alpha), models[0])
+        best, models = _likeliest(tracks, view.fit, view.criteria)
         n_tried = len(models)
         alone = next(m for m in models if not m.terms)
         gain = 2 * (best.log_likelihood - alone.log_likelihood)
@@ -82,7 +74,7 @@ class Kicks:
         gain = max(gain, float(view.left @ view.left) - view.n_left)
         if best.terms == {"drag"}:
             return replace(known, proposals=(_slowed(view, best, gain),))
-        if not best.are_kicks or best.oddity < criteria.alpha:
+        if not _are_told(best, view.criteria):
             return known
         proposal = Kicked(
             "kicks", _text(best), view.hypothesis, -view.criteria.cause_nats, gain,
@@ -94,6 +86,38 @@ class Kicks:
     def details(self, view, proposal, fit, rng):
         """What kicks and forces are, as constants of a report."""
         return {"constants": proposal.constants} if isinstance(proposal, Kicked) else {}
+
+
+def is_kicked(dataset, fit, criteria):
+    """Whether random kicks beside linear forces say all of tracks of which nothing is declared."""
+    tracks = _asked(dataset, fit)
+    return bool(tracks) and _are_told(_likeliest(tracks, fit, criteria)[0], criteria)
+
+
+def _asked(dataset, fit):
+    """The tracks of which kicks are asked; none where something is declared.
+
+    Stars are kicked by nothing, and what kicks do, which is anything, hides what orbits do.
+    """
+    if fit.law.terms or fit.law.frame or is_of_the_sky(dataset):
+        return []
+    tracks = _tracks(dataset, np.flatnonzero(np.isfinite(fit.noise.levels)))
+    is_long = tracks and min(len(t.times) for t in tracks) >= LEAST_ROWS
+    return tracks if is_long else []
+
+
+def _likeliest(tracks, fit, criteria):
+    """The likeliest model whose forecasts err no more oddly than noise does, and all models."""
+    free = fit.noise.is_free.any()
+    noise = None if free else float(np.sqrt(np.nanmean(np.square(fit.noise.levels))))
+    models = models_of(tracks, noise, criteria.class_nats)
+    near = (m for m in models if models[0].score - m.score <= criteria.class_nats)
+    return next((m for m in near if m.oddity >= criteria.alpha), models[0]), models
+
+
+def _are_told(model, criteria):
+    """Whether a model is one of kicks that stands."""
+    return model.are_kicks and model.oddity >= criteria.alpha
 
 
 def _slowed(view, model, gain):
