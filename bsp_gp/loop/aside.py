@@ -8,6 +8,9 @@ from dataclasses import dataclass, field, replace
 
 from bsp_gp.loop.decide import decide
 
+CLOSER = 0.5
+"""Part of what laws are behind that is left when another has been found, or no more are asked."""
+
 
 @dataclass(frozen=True, eq=False)
 class Aside:
@@ -40,6 +43,23 @@ def law_beside(table, decision, proposals, criteria):
     return other if is_law else None
 
 
+def is_hopeless(rounds):
+    """Whether laws do not come nearer to what was set aside: half as near in every round."""
+    behind = [gap for gap in _gaps(rounds) if gap is not None]
+    return len(behind) > 1 and behind[-1] > CLOSER * behind[-2]
+
+
+def _gaps(rounds):
+    """Nats by which all laws up to each round are behind what was set aside; None before that."""
+    best, laws = None, []
+    for done in rounds:
+        best = best or (done.aside and done.aside.decision.best)
+        if best and done.decision.is_adopted:
+            laws.append(done.decision.best)
+        prior = sum(row.log_prior for row in laws)
+        yield best.log_posterior - laws[-1].log_evidence - prior if laws else None
+
+
 def settled(rounds):
     """Rounds in which nothing is set aside: all laws together, or the cause that says all.
 
@@ -51,15 +71,13 @@ def settled(rounds):
     -------
     list of Round
     """
-    out = list(rounds)
-    for k, done in enumerate(rounds):
-        if done.aside is None:
-            continue
-        best = done.aside.decision.best
-        laws = [r.decision.best for r in rounds[k:] if r.decision.is_adopted]
-        together = laws[-1].log_evidence + sum(row.log_prior for row in laws)
-        if best.log_posterior > together:
-            own = {"decision": done.aside.decision, "details": done.aside.details, "aside": None}
-            return [*out[:k], replace(done, **own)]
-        out[k] = replace(done, table=without(done.table, best), aside=None)
-    return out
+    at = next((k for k, done in enumerate(rounds) if done.aside is not None), None)
+    if at is None:
+        return rounds
+    done, gap = rounds[at], list(_gaps(rounds))[-1]
+    table, own = without(done.table, done.aside.decision.best), done.aside
+    if gap is not None and gap > 0:
+        told = {"decision": own.decision, "details": own.details}
+        return [*rounds[:at], replace(done, aside=None, **told)]
+    table = done.table if gap is None else table  # None: the time was up
+    return [*rounds[:at], replace(done, table=table, aside=None), *rounds[at + 1 :]]

@@ -14,7 +14,7 @@ from bsp_gp.fitting.followed import PASSES, cut_short
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.aside import Aside, law_beside, settled
+from bsp_gp.loop.aside import Aside, is_hopeless, law_beside, settled
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import decide
@@ -208,7 +208,7 @@ def run_rounds(
     for number, stream in enumerate(rng.spawn(max_rounds), 1):
         if number <= len(rounds):
             continue
-        if rounds and not rounds[-1].goes_on:
+        if rounds and (not rounds[-1].goes_on or is_hopeless(rounds)):
             break
         if rounds and not rounds[-1].is_beside_more and is_refused and is_refused(rounds[-1]):
             break
