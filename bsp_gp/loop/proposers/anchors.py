@@ -10,13 +10,12 @@ import numpy as np
 
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.fitting.parts.constraints import freed_of, left_by, read_constraint
-from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.fitting.tangent import columns_beside
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
-from bsp_gp.loop.proposers.rods import CONSTANT, deviation
+from bsp_gp.loop.proposers.rods import CONSTANT, beside_probes, deviation
 from bsp_gp.loop.view import gains
 from bsp_gp.physics.engine.constrained import constraints_of
-from bsp_gp.physics.force import ForceLaw, fresh_names
+from bsp_gp.physics.force import fresh_names
 from bsp_gp.threads import one_thread
 
 CLEAR = 100.0
@@ -80,12 +79,10 @@ def _proposal(view, part, told, score):
     freed, typed, level = told
     code, kind = ("origin", "measurement") if len(typed) > 1 else ("length", "constraint")
     hypothesis = _with(view.hypothesis, part, freed)
-    levels, more = np.isfinite(np.array(view.fit.noise.levels)), {}
-    if level and levels.all():
-        terms = tuple(probe_terms(view.fit.groups, levels, is_held=True))
-        strengths = {name: np.nan for term in terms for name in term.formula.constants}
-        judged = hypothesis + Forces(ForceLaw(terms, strengths))
-        more = {"judged": judged, "error": level, "is_sole": True}
+    more = {}
+    if level and np.isfinite(np.array(view.fit.noise.levels)).all():
+        judged = beside_probes(view.fit, hypothesis)
+        more = {"judged": judged, "error": level, "is_sole": judged is not None}
     return Proposal(
         code, freed.text, hypothesis, -view.criteria.cause_nats, score.statistic, score.rank,
         kind=kind, is_afresh=True, patience=PATIENT, **more,

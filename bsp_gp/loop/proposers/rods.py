@@ -199,14 +199,19 @@ def _proposal(view, kept, every, n_tried):
     for letter, name in zip("ij", kept.pair, strict=True):
         text = text.replace(f"_{letter}", f"_{name}") if name else text
     hypothesis = view.hypothesis + part
-    terms = tuple(probe_terms(fit.groups, np.isfinite(levels), is_held=True))
-    strengths = {name: math.nan for term in terms for name in term.formula.constants}
     is_sole = kept.is_sole and _share(fit, every) > MOST
-    judged = hypothesis + Forces(ForceLaw(terms, strengths)) if terms else None
     return Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names), kind="constraint",
-        judged=judged, error=level, is_sole=is_sole, patience=PATIENT, is_afresh=True,
+        judged=beside_probes(fit, hypothesis), error=level, is_sole=is_sole, patience=PATIENT, is_afresh=True,
     )  # fmt: skip
+
+
+def beside_probes(fit, hypothesis):
+    """A hypothesis that holds bodies beside forces that know no physics; None without such."""
+    is_moving = np.isfinite(np.array(fit.noise.levels))
+    terms = tuple(probe_terms(fit.groups, is_moving, is_held=True))
+    strengths = {name: math.nan for term in terms for name in term.formula.constants}
+    return hypothesis + Forces(ForceLaw(terms, strengths)) if terms else None
 
 
 def _unseen(noise, step):
