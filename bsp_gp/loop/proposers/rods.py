@@ -202,7 +202,8 @@ def _proposal(view, kept, every, n_tried):
     is_sole = kept.is_sole and _share(fit, every) > MOST
     return Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names), kind="constraint",
-        judged=beside_probes(fit, hypothesis), error=level, is_sole=is_sole, patience=PATIENT, is_afresh=True,
+        judged=beside_probes(fit, hypothesis), error=level, is_sole=is_sole, patience=PATIENT,
+        is_afresh=True,
     )  # fmt: skip
 
 
