@@ -55,6 +55,8 @@ FINDINGS = {
     "constraint": "what moves is held ({})",
     "wall": "what moves meets {}",
     "inclined": "this is {}",
+    "origin": "places count from beside what holds a body",
+    "length": "a body is held at another length than was typed",
     "measurement": "the measurement distorts the motion ({})",
     "declared_term_change": "a declared term has to change ({})",
     "noise": "the noise is not as it was assumed ({})",
