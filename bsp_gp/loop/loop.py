@@ -469,7 +469,8 @@ class _Turn:
             if is_open and not is_again and len(left) < MOST_AGAIN:
                 left[len(queue)] = row
                 queue.append((source, replace(proposal, patience=PATIENT)))
-            if row.status == "unconverged" and not is_again and len(proposal.formulas) > 2:
+            is_lost = row.status == "unconverged" and not is_again
+            if is_lost and source == "inside" and len(proposal.formulas) > 2:
                 queue += [(source, less) for less in [_shorter(proposal)] if less is not None]
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
@@ -957,7 +958,8 @@ def _without_weakest(proposal, found, criteria):
 def _shorter(proposal):
     """A sum of laws without its last term, as it was proposed; None where that says all of it.
 
-    A descent that came to no end says nothing of a sum that is part of it.
+    A descent that came to no end says nothing of a sum that is part of it. Of laws without numbers
+    inside sums of every size are fitted anyway.
     """
     hypothesis = without_term(proposal.hypothesis, proposal.formulas[-1])
     if hypothesis is None:

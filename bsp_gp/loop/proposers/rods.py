@@ -18,6 +18,8 @@ CONSTANT = 3.0
 """Deviations of a constant quantity, in those that its changes from row to row tell of noise."""
 BENT = 3.0
 """Deviations from a line, in the same, from which a track is one about a point."""
+MOVED = 10.0
+"""The same of the way between two bodies that have moved about each other."""
 UNEVEN = 0.2
 """Standard deviation of a speed, in its mean, that no round orbit has."""
 MISFIT = 9.0
@@ -142,7 +144,7 @@ def _together(one, other, tracks):
     if len(moves) < LEAST_ROWS:
         return None
     spread, level = deviation(gaps)
-    if np.ptp(moves, axis=0).max() < BENT * level or not _is_constant(spread, level, moves):
+    if np.ptp(moves, axis=0).max() < MOVED * level or not _is_constant(spread, level, moves):
         return None
     ways = {key: tracks[one][key] - tracks[other][key] for key in shared}
     values = (float(np.linalg.norm(moves, axis=1).mean()),)
