@@ -46,7 +46,7 @@ def law_beside(table, decision, proposals, criteria):
 def is_hopeless(rounds):
     """Whether laws do not come nearer to what was set aside: half as near in every round."""
     behind = [gap for gap in _gaps(rounds) if gap is not None]
-    return len(behind) > 1 and behind[-1] > CLOSER * behind[-2]
+    return len(behind) > 1 and behind[-1] > max(CLOSER * behind[-2], 0.0)  # those ahead have won
 
 
 def _gaps(rounds):

@@ -32,8 +32,7 @@ CAUSES = (
     "length", "delay", "exposure", "lens", "shutter", "perspective", "inclined", "late_log",
     "swapped_tracks", "lost_track", "untrimmed", "bad_row", "clock_jump", "hidden_body", "contact",
     "collision", "bounce", "rod", "wire", "frame", "reference", "kicks", "noise",
-    "varying_strength",
-    "free_force",
+    "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
 KICKED = ("contact", "collision")

@@ -61,14 +61,17 @@ class Swings:
         if not self.forms or is_sky or len(names) > MOST_BODIES:
             return Family(self.name)
         is_alone = all(len(s.dynamic) == 1 for s in scenes)
-        rates = {name: swing_of(view.fit, body=name) for name in names}
-        rates = {"": swing_of(view.fit)} if is_alone else rates
-        if not all(rates.values()) or swing_of(view.fit, foreseen=True):
+        rates = {}
+        for name in [None] if is_alone else names:
+            rates[name] = swing_of(view.fit, body=name)
+            if not rates[name]:  # a periodogram of each of the others would tell nothing
+                return Family(self.name)
+        if swing_of(view.fit, foreseen=True):
             return Family(self.name)
         search = inner_search(view, self.grammar, view.moment_draws)
         forms = [f for f in self.forms if search.axes_of(f) is not None]
         if is_alone:
-            proposals = tuple(_slowed(view, search, form, rates[""]) for form in forms)
+            proposals = tuple(_slowed(view, search, form, rates[None]) for form in forms)
         else:
             proposals = tuple(_apart(view, search, form, rates) for form in forms[:1])
         return Family(self.name, proposals, is_control=True)
