@@ -190,7 +190,7 @@ def _speeds(apparatus, asked, distance, mass):
         step = until / (ROWS + 1)
         shown = apparatus.run(**asked, **extra, distance=distance, time_step=step * light**0.5,
                               duration=(SHOWN + 0.5) * step * light**0.5)  # fmt: skip
-        speeds, floor = _told(shown, light, apparatus.system)
+        speeds, floor = _told(shown, light, MODULES[apparatus.module]["sense"])
         speeds, times = speeds[1 : ROWS + 1], step * np.arange(1, ROWS + 1)
         moved = np.abs(speeds[-1]) * times[-1] / 2
         if np.isfinite(speeds).all() and moved <= 2 * part * distance:
@@ -210,15 +210,16 @@ def _least(found, times, floor, light, apparatus):
     return LEAST_SPEED * light**0.5 / speed
 
 
-def _told(shown, light, system):
-    """Speeds of a body as if of 1 kg, and the least error of an energy."""
+def _told(shown, light, sense):
+    """Speeds of a body as if of 1 kg, and the least error of an energy.
+
+    What errs to the other side keeps its sign: speeds of weak forces are then nil on average.
+    """
     if "kinetic_energy" in shown:
-        # What errs to below zero keeps its sign: speeds of weak forces are then nil on average.
         energies = np.array(shown["kinetic_energy"], dtype=float)
         return np.sign(energies) * np.sqrt(2 * np.abs(energies)), 1e-9
     speeds = np.array(shown["velocity"], dtype=float)
-    speeds = np.abs(speeds).reshape(len(speeds), -1)[:, 0]
-    return speeds * light**0.5, 0.0
+    return sense * speeds.reshape(len(speeds), -1)[:, 0] * light**0.5, 0.0
 
 
 def _alternating(apparatus, asked, distance):
@@ -236,7 +237,7 @@ def _alternating(apparatus, asked, distance):
         heavy /= 10
         shown = [apparatus.run(**asked, distance=distance, mass_wire=heavy, initial_velocity=0.0)
                  for _ in range(ROWS)]  # fmt: skip
-        gained = np.array([abs(float(s["velocity"][2])) for s in shown])
+        gained = np.array([-float(s["velocity"][2]) for s in shown])
     least = LEAST_SPEED / np.median(gained) if apparatus.noise else 0.0
     return heavy * gained / step, np.hypot(apparatus.noise, least)
 

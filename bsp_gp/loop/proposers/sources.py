@@ -67,6 +67,8 @@ class Sources:
                 continue
             score = view.score_forces(columns)
             n_tried += 1
+            if not np.any(score.amplitudes):
+                continue  # what is fitted already says all of it
             null = np.maximum(null, as_pair(view.null_forces(columns), score.rank))
             best = max(best, float(as_pair(score.statistic, score.rank)))
             height = evidence_of(view, columns)
