@@ -32,6 +32,8 @@ from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
 
+TURN = 2.04 * np.pi
+"""Over what angles reach at the most that may jump by whole turns, rad: one, and some noise."""
 MAX_CELLS = 100_000_000
 
 
@@ -572,11 +574,16 @@ def _scene(rows, part, entities, row, local, is_new, shape):
 
 
 def unwrapped(scene):
-    """A scene of angles without jumps by a whole turn, rad."""
+    """A scene of angles without jumps by a whole turn, rad.
+
+    Angles that reach over more than a turn do not jump: whoever wrote them counted the turns, of
+    which there may be more than a half from row to row.
+    """
     places = np.array(scene.positions)
     for track in np.moveaxis(places, 0, -1).reshape(-1, len(places)):
         seen = np.isfinite(track)
-        track[seen] = np.unwrap(track[seen])
+        if seen.any() and np.ptp(track[seen]) <= TURN:
+            track[seen] = np.unwrap(track[seen])
     return replace(scene, positions=places)
 
 

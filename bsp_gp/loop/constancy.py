@@ -159,8 +159,16 @@ def powers_in(term):
     """Quantities whose power in a term is asked for."""
     types = {name: STATE_INPUTS[name] for name in ("p_i", "p_j", "v_i", "v_j")}
     wanted = [parse_formula(text, types) for text in BASES[term.kind]]
-    named = [base_of(p) for side in factors(term.formula) for p in side if not p.constants]
+    parts = [p for side in factors(term.formula) for p in side]
+    named = [base_of(p) for p in parts if not p.constants or _is_of_centre(p)]
     return list(dict.fromkeys((*wanted, *filter(is_size, named))))
+
+
+def _is_of_centre(part):
+    """Whether a factor is a power, not a fitted one, of the distance to a place that is fitted."""
+    base = base_of(part)
+    is_norm = isinstance(base, Call) and base.operator == "norm"
+    return is_norm and "p_i" in base.inputs and len(part.constants) == len(base.constants)
 
 
 def logarithms(view, term, base):

@@ -25,7 +25,7 @@ from bsp_gp.loop.rivals import Explained
 from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
-from bsp_gp.physics.force import split_linear
+from bsp_gp.physics.force import ForceLaw, Term, kind_of, split_linear
 from bsp_gp.workers import Crew
 
 __all__ = ["Round", "run_rounds"]
@@ -64,6 +64,11 @@ MOST_BETTER = 2
 """Laws that are fitted after one that leaves nothing, since they do better as far as that tells."""
 MOST_AGAIN = 3
 """Fits that did not converge and are gone on with, with patience, at the end of a round."""
+MOST_DOUBTED = 3
+"""Rivals that are fitted where promises of their family were off; where none of so many does as
+well as it was expected to, no more of the family are told."""
+MOST_LIMITS = 3
+"""Simpler forms that are fitted in the place of one whose numbers end at their bounds."""
 MOST_FIRSTS, MOST_SECONDS = 3, 2
 """Laws beside which a second is asked for, where each leaves much, and seconds that are fitted."""
 MOST_TOLD = 10
@@ -429,7 +434,7 @@ class _Turn:
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
-        n_first, above, highest, asked, left = len(queue), {}, {}, {}, {}
+        n_first, above, least, highest, asked, left = len(queue), {}, {}, {}, {}, {}
         heads = {f.name: f.proposals[0] for f in self.families if f.proposals}
         broken = []  # proposals of all there is that left much, and reduced chi-squared
         unkept = {}  # by family, fits that are no likelier than the law as it is
@@ -446,8 +451,8 @@ class _Turn:
             measures = {measure} if is_first else {False, True}
             if self._is_behind(proposal, measures):
                 continue
-            least = REACH * (proposal.promise + self.run.criteria.class_nats)
-            if least < self.kept[not measure] and not self.base.is_failed:
+            reach = REACH * (proposal.promise + self.run.criteria.class_nats)
+            if reach < self.kept[not measure] and not self.base.is_failed:
                 continue  # whatever its measure, when all is explained
             if is_again and not self._is_ahead(left[k]):
                 continue  # of another fit since less is left
@@ -489,10 +494,16 @@ class _Turn:
                 own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain
                 known = above.setdefault(source, {}).get(proposal.rank, own)
                 above[source][proposal.rank] = tuple(map(max, own, known))
+                least[source] = min(least.get(source, math.inf), own[0])
                 highest[source] = max(highest.get(source, -math.inf), proposal.promise)
         fits.end()
+        self._fit_limits()
         self._prune()
-        self._tell_near(every, above, highest)
+        off = {
+            source for source, known in above.items()
+            if max(nats for nats, _ in known.values()) > least[source] + FAR_BEHIND
+        }  # fmt: skip
+        self._tell_near(every, above, highest, off)
 
     def fit_seconds(self, number, rng):
         """Ask beside each of the likeliest laws for a second one, where all leave much.
@@ -568,6 +579,29 @@ class _Turn:
             if may_be and row.log_posterior > self.rows[0].log_posterior:
                 out.setdefault((proposal.code, proposal.lead), row)
         return list(out.values())[:MOST_FIRSTS]
+
+    def _fit_limits(self):
+        """Fit simpler forms in the place of one whose numbers end at their bounds.
+
+        There a form has become another one: the sine of a wave that is long is a spring.
+        """
+        fitted = (row for row in self.rows[1:] if row.is_fit and row.id in self.proposals)
+        row = max(fitted, key=lambda row: row.log_posterior, default=None)
+        if row is None or row.status != "at_bound" or not self.proposals[row.id].formulas:
+            return
+        proposal, found = self.proposals[row.id], self.fits[row.id]
+        n_numbers = len(proposal.formulas[0].constants)
+        forms = [
+            p for f in self.families if f.name == row.source for p in f.proposals
+            if len(p.formulas) == 1 and len(p.formulas[0].constants) < n_numbers
+        ]  # fmt: skip
+        for form in forms[:MOST_LIMITS]:
+            simpler = _led_by(form, proposal, found, self.run.criteria)
+            if simpler.key in {r.key for r in self.rows if r.is_fit} or self.note_time("fits"):
+                continue
+            self.run.says(f"fit of a limit: {simpler.text}")
+            shared = found, self.run.dataset, self.run.criteria, self.run.bounds, self.run.clock
+            self._fitted(row.source, simpler, _fit_of(shared, (row.source, simpler)))
 
     def _prune(self):
         """Leave terms out of the likeliest sum of laws while that makes it likelier.
@@ -735,7 +769,7 @@ class _Turn:
             self.kept[measure] = proposal.promise
             self.spare[measure] = max(SPARE[measure] * proposal.promise, left)
 
-    def _tell_near(self, every, above, most):
+    def _tell_near(self, every, above, most, off):
         """Rows of what was scored only, in the terms of what was fitted of its family.
 
         Parameters
@@ -746,6 +780,8 @@ class _Turn:
         most : dict of str to float
             By family, the greatest promise of what was fitted: of what promises much more nothing
             is foreseen, it was asked for and did not fit.
+        off : set of str
+            Families whose promises were kept by some and not by others: the likeliest are fitted.
         """
         criteria = self.run.criteria
         least = max(row.log_posterior for row in self.rows) - criteria.class_nats
@@ -755,6 +791,7 @@ class _Turn:
         best = self.proposals.get(max(self.rows, key=lambda row: row.log_posterior).id)
         # Sums that are as long as the likeliest one are told, too.
         enough = max(self.enough, len(best.formulas) if best else 0)
+        near = []
         for source, proposal in every:
             if source not in above or len(proposal.formulas) > enough:
                 continue
@@ -773,8 +810,20 @@ class _Turn:
             is_near = evidence + proposal.log_prior > least or evidence > equal
             if is_near and is_foreseen and proposal.key not in known:
                 known.add(proposal.key)
+                near.append((min(evidence, highest), height, source, proposal))
+        fitted, unkept = {source: 0 for source in off}, dict.fromkeys(off, 0)
+        for evidence, height, source, proposal in sorted(
+            near, key=lambda each: -each[0] - each[-1].log_prior
+        ):
+            if fitted.get(source, math.inf) < MOST_DOUBTED and not self.run.clock.is_over:
+                self.run.says(f"fit of a rival: {proposal.text}")
+                found = _fit_of(self._shared, (source, proposal))
+                row = self._fitted(source, proposal, found)
+                fitted[source] += 1
+                unkept[source] += not row.log_evidence > evidence - criteria.class_nats
+            elif unkept.get(source, 0) < MOST_DOUBTED:
                 self._add(
-                    source, proposal, "scored", min(evidence, highest), height,
+                    source, proposal, "scored", evidence, height,
                     self.base.n_free + proposal.rank, HeldOut(),
                 )  # fmt: skip
 
@@ -952,6 +1001,30 @@ def _without_weakest(proposal, found, criteria):
         bounds=hypothesis.own(proposal.bounds), formulas=formulas, ties=(),
         rank=proposal.rank - 1, log_prior=min(proposal.log_prior + criteria.cause_nats, 0.0),
         patience=1,
+    )  # fmt: skip
+
+
+def _led_by(form, proposal, found, criteria):
+    """A sum of laws with another form in the place of its first, from where its fit is.
+
+    Parameters
+    ----------
+    form, proposal : Proposal
+    found : Fit
+        Of the sum as it was proposed.
+    """
+    first, *rest = proposal.formulas
+    terms = tuple(Term(formula, kind_of(formula)) for formula in rest)
+    known = {name: found.law.constants[name] for term in terms for name in term.formula.constants}
+    hypothesis = form.hypothesis
+    hypothesis = hypothesis + Forces(ForceLaw(terms, known)) if terms else hypothesis
+    formulas = (*form.formulas, *rest)
+    return replace(
+        form, text=" + ".join(map(to_text, formulas)), hypothesis=hypothesis,
+        starts={**form.starts, **known}, bounds={**form.bounds, **hypothesis.own(proposal.bounds)},
+        formulas=formulas, ties=(), gain=proposal.gain,
+        rank=proposal.rank - len(first.constants) + len(form.formulas[0].constants),
+        log_prior=form.log_prior - criteria.cause_nats * len(rest),
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.fitting.parts.hidden import HiddenSource
 from bsp_gp.fitting.periodogram import is_of_swing, longest, rates_in
+from bsp_gp.language.formula import Input, factors
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Z_90, Constancy
@@ -22,7 +23,10 @@ from bsp_gp.loop.criteria import KICKED
 from bsp_gp.loop.decide import share_of_listed
 from bsp_gp.loop.foresight import FORESEEING, foresees
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
+from bsp_gp.loop.proposers.exponents import base_of
+from bsp_gp.loop.proposers.priors import AXES
 from bsp_gp.physics.bodies import input_types_of
+from bsp_gp.physics.force import split_linear
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
 CHANGES = (
@@ -121,7 +125,7 @@ def is_many(rounds, removed):
     """
     adopted = [r for r in rounds if r.decision.is_adopted and r.number not in removed]
     causes = [
-        max(len(r.proposals[r.decision.best.id].formulas), 1)
+        max(len(set(map(_kind_of, r.proposals[r.decision.best.id].formulas))), 1)
         for r in adopted
         if foresees(r.decision.best)
     ]
@@ -130,6 +134,17 @@ def is_many(rounds, removed):
     parts = (p for r in of_kicks for p in r.hypotheses[r.decision.best.id].parts)
     kicks = {p.mark: (p.scene, p.entity) for p in parts if isinstance(p, Kick)}
     return max(sum(causes), *Counter(kicks.values()).values(), 0) > MOST_CAUSES
+
+
+def _kind_of(formula):
+    """A formula; what powers of a coordinate do along its axis, the axis: they are one series."""
+    above, below = factors(split_linear(formula)[1])
+    *bases, direction = (base_of(part) for part in above)
+    is_axis = isinstance(direction, Input) and direction.name in AXES
+    if below or not is_axis:
+        return formula
+    own = {"p_i", "origin", direction.name}
+    return direction.name if all(base.inputs == own for base in bases) else formula
 
 
 def doubt_of_sources(rounds, removed):

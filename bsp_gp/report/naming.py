@@ -41,6 +41,7 @@ def describe(formula, value=None, other="the other body", exponents=()):
         phrase = _inner_phrase(direction, formula, powers)
         if value is not None and value < 0:
             phrase = re.sub(r"^force to a point", "force away from a point", phrase)
+            phrase = re.sub(r"^spring to a rest point", "push away from a point", phrase)
     else:
         condition = conditions[-1] if conditions else None
         phrase = _phrase(direction, condition, powers, value, bool(loose))
@@ -415,7 +416,8 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         kind = "drag" if brakes else "forward push"
         if has_own:
             return kind + _scaling(powers | ({"norm(v_i)": total} if total else {})) + where
-        where = _in_columns(powers) + where
+        places = {name: power for name, power in powers.items() if re.fullmatch("[xyz]_i", name)}
+        where = _scaling(places) + _in_columns(powers) + where
         if total == 0:
             return f"{'friction' if brakes else kind} of constant size{where}"
         return f"{kind}, {_POWERS.get(total, f'power {total:g}')} in speed{where}"
@@ -436,8 +438,9 @@ def _phrase(direction, condition, powers, value, is_loose=False):
             rest = {n: p for n, p in powers.items() if n not in (own, size, *_SPEEDS)}
             return f"{kind} along {text[-1]}, {_in_speed(total)}{_scaling(rest)}{where}"
         is_spring = {**powers, "m_i": 1} == {f"{text[-1]}_i": 1, "m_i": 1}
-        if is_spring and value is not None and value < 0:
-            return f"spring along {text[-1]} to the origin{where}"
+        if is_spring and value is not None:
+            kind, way = ("spring", "to") if value < 0 else ("push", "away from")
+            return f"{kind} along {text[-1]} {way} the origin{where}"
         is_placed = any(f"{text[-1]}_i" in _input_names(name) for name in powers)
         is_even = not (is_placed or set(powers) & {*_SPEEDS, *_COMPONENTS})
         verb = f"uniform push along {text[-1]}" if is_even else f"force along {text[-1]}"
@@ -543,7 +546,7 @@ def size_name(name):
     if found := re.fullmatch(r"dot\(normalize\(v_i\), e_([xyz])\)", name):
         return f"cosine of its angle to {found[1]}"
     bare = name.removeprefix("abs(").removesuffix(")") if name.startswith("abs(") else name
-    if re.fullmatch(rf"norm\((?:p_i - {_PLACE}|{_PLACE} - p_i)\)", name):
+    if re.fullmatch(rf"norm\((?:p_i - {_PLACE}|{_PLACE} - p_i|.*centre_.* - p_i)\)", name):
         return "distance"
     if re.match(r"norm\([^()]*(?:\([^()]*\))?[^()]*\) - ", bare):
         return "stretch" if bare == name else "|stretch|"

@@ -20,6 +20,7 @@ from bsp_gp.loop.proposers.measurement import Measurement
 from bsp_gp.loop.proposers.noise import Noise
 from bsp_gp.loop.proposers.own_laws import OwnLaws
 from bsp_gp.loop.proposers.periods import Periods
+from bsp_gp.loop.proposers.polynomials import Polynomials
 from bsp_gp.loop.proposers.pulsing import Pulsing
 from bsp_gp.loop.proposers.reference import References
 from bsp_gp.loop.proposers.ripples import Ripples
@@ -45,8 +46,8 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     inside = Inside(laws, dataset)
     return [
-        laws, inside, Swings(inside), ByOwner(laws), OwnLaws(laws), Declared(), Varying(),
-        Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(), References(),
-        Sources(), Hidden(), Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(),
-        Anchors(), Measurement(), LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
+        laws, inside, Polynomials(), Swings(inside), ByOwner(laws), OwnLaws(laws), Declared(),
+        Varying(), Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(),
+        References(), Sources(), Hidden(), Aslant(), Companions(), Kicks(), Contacts(), Walls(),
+        Rods(), Anchors(), Measurement(), LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
     ]  # fmt: skip
