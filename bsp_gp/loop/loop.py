@@ -13,6 +13,7 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.followed import PASSES, cut_short
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.fitting.parts.cut_short import CutShort
+from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.aside import Aside, is_hopeless, law_beside, settled
 from bsp_gp.loop.clock import Clock, TimeIsUp
@@ -947,7 +948,13 @@ def _more_under(noise, found):
     size = min(math.sqrt(found.chisqr / found.n_rows), most)
     if not size > 1.0:
         return 0.0
-    return 0.5 * found.chisqr * (1.0 - size**-2.0) - found.n_rows * math.log(size)
+    if math.isinf(found.noise.degrees):
+        return 0.5 * found.chisqr * (1.0 - size**-2.0) - found.n_rows * math.log(size)
+    # Under tails a likelihood is no quadratic form: it is worked out.
+    own = np.array(found.noise.levels)
+    larger = replace(found.noise, levels=tuple(np.where(found.noise.is_free, size * own, own)))
+    more = log_likelihood(larger, found.channels, found.residual) - found.log_likelihood
+    return max(float(more), 0.0)
 
 
 def _is_less(base, found):

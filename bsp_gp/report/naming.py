@@ -38,7 +38,7 @@ def describe(formula, value=None, other="the other body", exponents=()):
     if _OBLATE.search(to_text(formula)):
         phrase = "pull of an oblate centre (its flattening, about z)"
     elif split_linear(formula)[1].constants:
-        phrase = _inner_phrase(direction, formula, powers)
+        phrase = _inner_phrase(direction, formula, powers, value)
         if value is not None and value < 0:
             phrase = re.sub(r"^force to a point", "force away from a point", phrase)
             phrase = re.sub(r"^spring to a rest point", "push away from a point", phrase)
@@ -130,7 +130,7 @@ _INNER = (
 """Marks of factors with a constant inside, and what they do."""
 
 
-def _inner_phrase(direction, formula, powers):
+def _inner_phrase(direction, formula, powers, value=None):
     """Name a term with constants inside: "spring to a point", "force along e_x, fading ..."."""
     rest = split_linear(formula)[1]
     for mark, phrase in _WHOLE:
@@ -159,6 +159,10 @@ def _inner_phrase(direction, formula, powers):
     point = "round a point (a vortex)" if text.startswith("perp(") else "to a point"
     way = bare[2:] if bare.startswith("e_") else f"the {_DIRECTIONS.get(bare, bare)}"
     along = point if is_place else f"along {way}"
+    if text in ("v_i", "normalize(v_i)") and not set(powers) - {"norm(v_i)"}:
+        total = powers.get("norm(v_i)", 0) + (text == "v_i")
+        kind = "forward push" if value is not None and value > 0 else "drag" if total else "friction"
+        return ", ".join(dict.fromkeys([f"{kind}, {_in_speed(total)}", *words]))
     if any(each.startswith("centre_") for each in inner):
         return f"spring to a line or plane across {text}"
     if of_bodies:

@@ -64,15 +64,20 @@ def other_way(effect, why, dataset):
     """
     sign = -1 if (dataset.get("way") or "").startswith("-") else 1
     way = (dataset.get("way") or "").lstrip("-")
-    one_term = len(_split(effect.written or "", " + ", " - ")) == 1
-    if not way or _turned(way) not in why or not (one_term and len(effect.constants) == 1):
+    terms = _split(effect.written or "", " + ", " - ")
+    if not way or _turned(way) not in why or len(terms) != len(effect.constants):
         return ""
-    if _count("norm(v_i)", effect.written):  # no push grows with the speed
-        return ""
-    if _count("normalize(v_i)", effect.written):
-        return f", or a push along {way}: nothing turns back, and these data cannot tell"
-    if effect.constants[0].value * sign < 0:  # it brakes
-        return ", or friction as large: nothing turns back, and these data cannot tell"
+    cannot_tell = "nothing turns back, and these data cannot tell"
+    for term, constant in zip(terms, effect.constants, strict=True):
+        # No push grows with the speed, and none depends on the place.
+        if any(_count(word, term) for word in ("norm(v_i)", "p_i", f"{way}_i")):
+            continue
+        if _count("normalize(v_i)", term) and len(terms) == 1:
+            return f", or a push along {way}: {cannot_tell}"
+        if _count(f"e_{way}", term) and constant.value * sign < 0:  # it brakes
+            if len(terms) == 1:
+                return f", or friction as large: {cannot_tell}"
+            return f" (the push along {way} may be friction as large: {cannot_tell})"
     return ""
 
 

@@ -23,6 +23,7 @@ from bsp_gp.loop.proposers.periods import Periods
 from bsp_gp.loop.proposers.polynomials import Polynomials
 from bsp_gp.loop.proposers.pulsing import Pulsing
 from bsp_gp.loop.proposers.reference import References
+from bsp_gp.loop.proposers.regimes import Regimes
 from bsp_gp.loop.proposers.ripples import Ripples
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.proposers.sources import Sources
@@ -46,8 +47,9 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     inside = Inside(laws, dataset)
     return [
-        laws, inside, Polynomials(), Swings(inside), ByOwner(laws), OwnLaws(laws), Declared(),
-        Varying(), Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(), Inclinations(),
-        References(), Sources(), Hidden(), Aslant(), Companions(), Kicks(), Contacts(), Walls(),
-        Rods(), Anchors(), Measurement(), LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
+        laws, inside, Polynomials(), Regimes(), Swings(inside), ByOwner(laws), OwnLaws(laws),
+        Declared(), Varying(), Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(),
+        Inclinations(), References(), Sources(), Hidden(), Aslant(), Companions(), Kicks(),
+        Contacts(), Walls(), Rods(), Anchors(), Measurement(), LateLogs(), Defects(), Hands(),
+        Noise(), Unfollowed(laws),
     ]  # fmt: skip

@@ -1,0 +1,252 @@
+"""Libraries of terms from which sums are chosen as a whole, and made proposals of.
+
+Moments are linear in the coefficients of terms: of a library all sums of a few are weighed at once,
+about a place that is sought, and beside a push with a period where they leave much.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from bsp_gp.errors import EvaluationError
+from bsp_gp.fitting.hypothesis import Parameter
+from bsp_gp.fitting.parts.ranged import RangedForces
+from bsp_gp.inference.priors import Prior
+from bsp_gp.language.formula import Call, Constant, Input, Number, product, substitute
+from bsp_gp.language.inputs import STATE_INPUTS
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import Proposal
+from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name
+from bsp_gp.search.columns import orthonormal
+from bsp_gp.search.subsets import best_subsets
+
+LARGEST, BEAM = 5, 100
+"""Terms in one sum, and sums that are extended."""
+NEW = 2
+"""How much a sum must have of what no grammar has to be proposed."""
+MOST = 2
+"""Sums of each size of a library that are proposed."""
+SHAKEN = 1.5
+"""Reduced chi-squared beyond which a push with a period is asked for beside all terms."""
+REACH = 3.0
+"""Times what the best sum leaves that others may leave to be proposed."""
+PLACES = 41
+"""Places on a line that are tried at first."""
+SEPARATE = 0.02
+"""Part of a term that must lie beside the law, and beside a wave, to count as its own."""
+LOWEST = -8.0
+"""Of a power that is fitted."""
+
+
+def proposals_of(view, libraries):
+    """The likeliest sums of libraries as proposals, the likeliest first.
+
+    Parameters
+    ----------
+    view : View
+    libraries : sequence of Library
+
+    Returns
+    -------
+    tuple of Proposal
+    """
+    found, alone = [], None
+    for library in libraries:
+        found += sums_of(view, library)
+        if left_by(view, library.columns) > SHAKEN * view.n_left:
+            alone = waves_alone(view) if alone is None else alone
+            wave = wave_beside(view, library.columns, alone)
+            found += sums_of(view, library, wave) if wave is not None else []
+    reach = REACH * min((loss for loss, *_ in found), default=0.0)
+    near = [each for loss, *each in found if loss <= reach]
+    proposals = [p for each in near for p in _proposals(view, *each)]
+    return tuple(sorted(proposals, key=lambda p: -p.promise))
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """Terms, and their moments beside the law.
+
+    Attributes
+    ----------
+    formulas : tuple of Formula
+        Without their coefficients.
+    news : ndarray of int, shape (c,)
+        How much each adds to what no grammar has, of which a sum needs `NEW`.
+    columns : ndarray, shape (n, c)
+    places : tuple of Parameter
+        Coordinates of the place about which they are, in which their names stand for it.
+    at : tuple of float
+        Where that is.
+    freed : dict of Formula to (Formula, int)
+        Powers of a distance with a constant in the place of the power, and what that was.
+    largest : int
+        Terms in one sum.
+    """
+
+    formulas: tuple
+    news: np.ndarray
+    columns: np.ndarray
+    places: tuple = ()
+    at: tuple = ()
+    freed: dict = field(default_factory=dict)
+    largest: int = LARGEST
+
+
+class Placed:
+    """A library about a place that is sought.
+
+    Parameters
+    ----------
+    rows : list of (Formula, int)
+        Terms, and how much of each is new, as a library has it.
+    names : tuple of str
+        Coordinates of the place.
+    extents : tuple of (float, float)
+        Within which they lie.
+    unit : Unit
+        Of them.
+    """
+
+    def __init__(self, view, rows, names, extents, unit):
+        self.view, self.rows, self.unit, self.names = view, rows, unit, names
+        self.places = tuple(
+            Parameter(name, low=low, high=high, prior=Prior("uniform", low, high))
+            for name, (low, high) in zip(names, extents, strict=True)
+        )
+        self.target = float(view.left @ view.left)
+
+    def library(self, at):
+        """The terms about a place; None where none is left beside the law."""
+        at = tuple(map(float, at))
+        here = {Constant(n): Number(x, self.unit) for n, x in zip(self.names, at, strict=True)}
+        found = library_of(self.view, self.rows, here)
+        return found and replace(found, places=self.places, at=at)
+
+    def best_on_line(self):
+        """The library where all of it explains most, of a place that is one number."""
+        ((low, high),) = ((p.low, p.high) for p in self.places)
+        line = np.linspace(low, high, PLACES)
+        best = line[int(np.argmin([self.unexplained((at,)) for at in line]))]
+        step = line[1] - line[0]
+        found = minimize_scalar(
+            lambda at: self.unexplained((at,)), bounds=(best - step, best + step), method="bounded"
+        )
+        return self.library((found.x,))
+
+    def unexplained(self, at):
+        """What is left by all terms about a place."""
+        is_within = all(p.low <= x <= p.high for p, x in zip(self.places, at, strict=True))
+        known = self.library(at) if is_within else None
+        return left_by(self.view, known.columns) if known else self.target
+
+
+def library_of(view, rows, at=None):
+    """The terms that the law does not take up; None where none is left."""
+    formulas, news, columns = [], [], []
+    for formula, new in rows:
+        try:
+            column = view.force_columns([substitute(formula, at) if at else formula])
+        except EvaluationError:  # it grows beyond all numbers
+            continue
+        size = np.linalg.norm(column)
+        beside = view.beside(column)
+        if size > 0 and np.linalg.norm(beside) > SEPARATE * size:
+            formulas.append(formula)
+            news.append(new)
+            columns.append(beside)
+    if not columns:
+        return None
+    return Library(tuple(formulas), np.array(news), np.concatenate(columns, axis=1))
+
+
+def sums_of(view, library, wave=None):
+    """The best sums of every size, beside a wave if there is one, as (loss, library, sum, wave)."""
+    waves = view.left[:, None][:, :0] if wave is None else wave.columns
+    taken = orthonormal(waves, len(waves))
+    size = np.linalg.norm(library.columns, axis=0)
+    beside = library.columns - taken @ (taken.T @ library.columns)
+    is_own = np.linalg.norm(beside, axis=0) > SEPARATE * size
+    rest = view.left - taken @ (taken.T @ view.left)
+    subsets = best_subsets(np.where(is_own, beside, 0.0), rest, library.largest, beam=BEAM)
+    out = []
+    for found in subsets.values():
+        new = [each for each in found if library.news[list(each[1])].sum() >= NEW]
+        out += [(loss, library, members, wave) for loss, members in new[:MOST]]
+    return out
+
+
+def _proposals(view, library, members, wave):
+    """A sum, and one in which the lesser of two powers of a distance is fitted."""
+    columns = library.columns[:, members]
+    both = columns if wave is None else np.concatenate([columns, wave.columns], axis=1)
+    size = np.linalg.norm(both, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    amounts = np.linalg.lstsq(both / size, view.left, rcond=1e-10)[0] / size
+    gain = float(view.left @ view.left - np.square(view.left - both @ amounts).sum())
+    own = [library.formulas[k] for k in members]
+    of_distance = [k for k, formula in enumerate(own) if formula in library.freed]
+    if len(of_distance) > 1:
+        least = min(of_distance, key=lambda k: abs(amounts[k]) * size[k])
+        formula, power = library.freed[own[least]]
+        loose = [*own[:least], formula, *own[least + 1 :]]
+        (name,) = set(formula.constants) - {place.name for place in library.places}
+        n = Parameter(name, low=LOWEST, high=-LOWEST, prior=Prior("uniform", LOWEST, -LOWEST))
+        yield _proposal(view, library, loose, amounts, gain, wave, ((n, power),))
+    yield _proposal(view, library, own, amounts, gain, wave)
+
+
+def _proposal(view, library, own, amounts, gain, wave, more=()):
+    """A sum of formulas as a proposal, with further constants in them and where these begin."""
+    law, terms, starts = view.fit.law, [], {}
+    for formula, amount in zip(own, amounts, strict=False):
+        name = fresh_name(law, "c")
+        term = Term(Call("mul", Constant(name), formula), "field")
+        law, terms = law.plus(term, {name: float(amount)}), [*terms, term]
+        starts[name] = float(amount)
+    named = {name for term in terms for name in term.formula.constants}
+    inner = [*zip(library.places, library.at, strict=True), *more]
+    starts |= {p.name: float(at) for p, at in inner if p.name in named}
+    ranges = tuple(p for p, _ in inner if p.name in named)
+    hypothesis = view.hypothesis + RangedForces(ForceLaw(tuple(terms), dict(starts)), None, ranges)
+    bounds, formulas, n_causes = {}, [term.formula for term in terms], len(terms)
+    if wave is not None:
+        hypothesis, n_causes = hypothesis + wave.part, n_causes + 1
+        starts |= dict(zip(wave.names, (*amounts[-3:-1], wave.rate), strict=True))
+        bounds = {wave.names[-1]: wave.bounds}
+        formulas += [term.formula for term in wave.part.law.terms]
+    return Proposal(
+        "law", " + ".join(map(to_text, formulas)), hypothesis, -view.criteria.cause_nats * n_causes,
+        gain, len(amounts) + len(ranges), starts=starts, bounds=bounds,
+        formulas=tuple(formulas), n_dims=view.dataset.n_dims, is_wide=True,
+    )  # fmt: skip
+
+
+def drags(view, axes):
+    """What brakes, or turns a body aside, everywhere alike."""
+    velocity = Input("v_i", STATE_INPUTS["v_i"])
+    mass = Input("m_i", dataset_types(view.dataset)["m_i"])
+    rows = [velocity, Call("mul", Call("norm", velocity), velocity),
+            product([mass, Call("normalize", velocity)])]  # fmt: skip
+    rows += [Call("perp", velocity)] * (len(axes) == 2 and view.dataset.n_dims == 2)
+    return [(row, 0) for row in rows]
+
+
+def extent_of(view, axis):
+    """Where tracks go along an axis, m."""
+    places = [s.positions[:, s.dynamic, axis].ravel() for s in view.dataset.scenes]
+    places = np.concatenate(places)
+    return float(np.nanmin(places)), float(np.nanmax(places))
+
+
+def _gain(view, columns):
+    basis = orthonormal(columns, len(columns))
+    return float(np.square(basis.T @ view.left).sum())
+
+
+def left_by(view, columns):
+    """Chi-squared that columns leave."""
+    return float(view.left @ view.left) - _gain(view, columns)

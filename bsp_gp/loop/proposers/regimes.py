@@ -1,0 +1,72 @@
+"""Laws that are others from an instant on, or beyond a place: a parachute, a carpet, a motor.
+
+What moves a body before and after has terms of its own. Each alone explains little, and whoever
+looks for one cause finds a kick there. So the terms of textbooks are taken everywhere, on one side
+and on the other, and sums of them chosen as a whole where all of them together explain most.
+"""
+
+import numpy as np
+from scipy import stats
+
+from bsp_gp.language.formula import Call, Constant, Input, Number, product
+from bsp_gp.loop.proposal import Family
+from bsp_gp.loop.proposers.libraries import (
+    NEW,
+    Placed,
+    drags,
+    extent_of,
+    left_by,
+    library_of,
+    proposals_of,
+)
+from bsp_gp.loop.proposers.periods import coordinate_of
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import fresh_name
+
+LESS = 0.5
+"""Part of what terms leave everywhere that they must leave where they may change."""
+
+
+class Regimes:
+    """Sums of terms that change at an instant or a place, for bodies that move alone."""
+
+    name = "regimes"
+    is_alone = False
+
+    def propose(self, view):
+        """The family of the likeliest sums, where laws that are the same everywhere leave much."""
+        axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
+        scenes = view.dataset.scenes
+        is_lone = all(len(scene.dynamic) == 1 for scene in scenes)
+        if not is_lone or view.is_sky or not len(axes):
+            return Family(self.name)
+        left = view.left @ view.left - view.explained
+        if stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha:
+            return Family(self.name)
+        types = dataset_types(view.dataset)
+        rows = [(coordinate_of(types, axis)[1], 0) for axis in axes] + drags(view, axes)
+        plain = library_of(view, rows)
+        bar = LESS * (left_by(view, plain.columns) if plain else float(view.left @ view.left))
+        edges = [(coordinate_of(types, a)[0], f"h_{'xyz'[a]}", extent_of(view, a)) for a in axes]
+        if len(scenes) == 1:
+            (scene,) = scenes
+            edges.append((Input("t", types["t"]), "t", (scene.times[0], scene.times[-1])))
+        libraries = []
+        for quantity, stem, extent in edges:
+            name = fresh_name(view.fit.law, stem)
+            changing = [(_on(quantity, name, side, row), NEW) for side in _SIDES for row, _ in rows]
+            placed = Placed(view, rows + changing, (name,), (extent,), quantity.type.unit)
+            found = placed.best_on_line()
+            if found is not None and left_by(view, found.columns) < bar:
+                libraries.append(found)
+        proposals = proposals_of(view, libraries)
+        return Family(self.name, proposals, n_tried=len(proposals))
+
+
+_SIDES = "sub", "add"
+
+
+def _on(quantity, name, side, row):
+    """A term below a place or up to an instant ("sub"), or beyond it ("add")."""
+    sign = Call("sign", Call("sub", quantity, Constant(name)))
+    return product([Number(0.5), Call(side, Number(1.0), sign), row])
