@@ -16,6 +16,9 @@ from bsp_gp.physics.force import ForceLaw
 
 FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
+NEW = 2
+"""How much a term of a series adds that some textbook has: a power of a coordinate, or what acts
+on one side of a place; that of one which none has is greater."""
 PATIENT = 5
 """Times the usual effort that a fit may take which is not given up so soon."""
 
@@ -72,6 +75,8 @@ class Proposal:
         takes off most of what is left: how motion is seen comes before what moves it.
     is_last : bool
         Whether it says all of the tracks: nothing is asked for beside it.
+    news : dict of Formula to int
+        Of terms of a series, how much each adds to what is known of textbooks.
     """
 
     code: str
@@ -97,6 +102,13 @@ class Proposal:
     has_other_starts: bool = False
     is_first: bool = False
     is_last: bool = False
+    news: dict = field(default_factory=dict)
+
+    @property
+    def is_series(self):
+        """Whether it is a series that may stand for a force of any form."""
+        news = [self.news.get(formula, 0) for formula in self.formulas]
+        return max(news, default=0) > NEW or sum(news) > 2 * NEW
 
     @cached_property
     def key(self):

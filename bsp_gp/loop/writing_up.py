@@ -124,6 +124,8 @@ def is_many(rounds, removed):
         Numbers of rounds whose causes were taken back.
     """
     adopted = [r for r in rounds if r.decision.is_adopted and r.number not in removed]
+    if any(r.proposals[r.decision.best.id].is_series for r in adopted):
+        return True
     causes = [
         max(len(set(map(_kind_of, r.proposals[r.decision.best.id].formulas))), 1)
         for r in adopted

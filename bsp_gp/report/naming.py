@@ -161,7 +161,8 @@ def _inner_phrase(direction, formula, powers, value=None):
     along = point if is_place else f"along {way}"
     if text in ("v_i", "normalize(v_i)") and not set(powers) - {"norm(v_i)"}:
         total = powers.get("norm(v_i)", 0) + (text == "v_i")
-        kind = "forward push" if value is not None and value > 0 else "drag" if total else "friction"
+        kind = "drag" if total else "friction"
+        kind = "forward push" if value is not None and value > 0 else kind
         return ", ".join(dict.fromkeys([f"{kind}, {_in_speed(total)}", *words]))
     if any(each.startswith("centre_") for each in inner):
         return f"spring to a line or plane across {text}"

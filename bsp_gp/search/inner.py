@@ -24,7 +24,7 @@ from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
 
 N_POINTS, N_ACROSS, N_PLACES, N_LINE = 12, 8, 300, 40
 """Values of a constant that is alone inside, of each of several; places, and along an axis."""
-BEYOND = 4.0
+BEYOND = 12.0
 """Times that a length may be shorter than the shortest in the data, or longer than the longest."""
 COARSE = 2
 """Times as coarse that grids are for laws that are drawn, of which there are many."""

@@ -213,10 +213,10 @@ def test_a_power_that_a_law_lacks_is_said_where_zero_is_far(low, high, is_said):
     ("law", "name"),
     [
         ("c * (1 + sign(x_i - a)) * (1 - sign(x_i - b)) * v_i",
-         "force along the velocity, between two places"),
-        ("c * (1 + sign(x_i - a)) * v_i", "force along the velocity, beyond a threshold"),
+         "drag, linear in speed, between two places"),
+        ("c * (1 + sign(x_i - a)) * v_i", "drag, linear in speed, beyond a threshold"),
         ("c * (1 + sign(t - a)) * (1 - sign(t - b)) * v_i",
-         "force along the velocity, switched on and off in time"),
+         "drag, linear in speed, switched on and off in time"),
         ("c1 * (m_i * 0.5 * (1 - sign(t - t1)) * e_x)", "force along x, up to an instant"),
         ("c * exp(-((x_i - h) / D)^2) * (x_i - h) * e_x",
          "force along x about a place, gone a length away (a dip or a bump)"),

@@ -16,8 +16,9 @@ from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, Input, Number, product, substitute
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import Proposal
+from bsp_gp.loop.proposal import NEW, Proposal
 from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
+from bsp_gp.loop.proposers.priors import drives
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.search.columns import orthonormal
@@ -25,8 +26,6 @@ from bsp_gp.search.subsets import best_subsets
 
 LARGEST, BEAM = 5, 100
 """Terms in one sum, and sums that are extended."""
-NEW = 2
-"""How much a sum must have of what no grammar has to be proposed."""
 MOST = 2
 """Sums of each size of a library that are proposed."""
 SHAKEN = 1.5
@@ -75,7 +74,7 @@ class Library:
     formulas : tuple of Formula
         Without their coefficients.
     news : ndarray of int, shape (c,)
-        How much each adds to what no grammar has, of which a sum needs `NEW`.
+        How much each adds to what a grammar has, of which a sum needs `NEW`; see `Proposal.news`.
     columns : ndarray, shape (n, c)
     places : tuple of Parameter
         Coordinates of the place about which they are, in which their names stand for it.
@@ -201,12 +200,16 @@ def _proposals(view, library, members, wave):
 
 def _proposal(view, library, own, amounts, gain, wave, more=()):
     """A sum of formulas as a proposal, with further constants in them and where these begin."""
-    law, terms, starts = view.fit.law, [], {}
+    law, terms, starts, news = view.fit.law, [], {}, {}
+    known = dict(zip(library.formulas, library.news.tolist(), strict=True))
+    odd_nats = 0.0
     for formula, amount in zip(own, amounts, strict=False):
         name = fresh_name(law, "c")
         term = Term(Call("mul", Constant(name), formula), "field")
         law, terms = law.plus(term, {name: float(amount)}), [*terms, term]
         starts[name] = float(amount)
+        news[term.formula] = known.get(formula, 0)
+        odd_nats += view.criteria.cause_nats * drives(term.formula, float(amount))
     named = {name for term in terms for name in term.formula.constants}
     inner = [*zip(library.places, library.at, strict=True), *more]
     starts |= {p.name: float(at) for p, at in inner if p.name in named}
@@ -219,9 +222,9 @@ def _proposal(view, library, own, amounts, gain, wave, more=()):
         bounds = {wave.names[-1]: wave.bounds}
         formulas += [term.formula for term in wave.part.law.terms]
     return Proposal(
-        "law", " + ".join(map(to_text, formulas)), hypothesis, -view.criteria.cause_nats * n_causes,
-        gain, len(amounts) + len(ranges), starts=starts, bounds=bounds,
-        formulas=tuple(formulas), n_dims=view.dataset.n_dims, is_wide=True,
+        "law", " + ".join(map(to_text, formulas)), hypothesis,
+        -view.criteria.cause_nats * n_causes - odd_nats, gain, len(amounts) + len(ranges),
+        starts=starts, bounds=bounds, formulas=tuple(formulas), n_dims=view.dataset.n_dims, is_wide=True, news=news,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from bsp_gp.language.formula import Call, Constant, Input, Number, product
 from bsp_gp.language.inputs import STATE_INPUTS
-from bsp_gp.loop.proposal import Family
+from bsp_gp.loop.proposal import NEW, Family
 from bsp_gp.loop.proposers.libraries import Placed, drags, extent_of, library_of, proposals_of
 from bsp_gp.loop.proposers.periods import coordinate_of
 from bsp_gp.physics.bodies import dataset_types
@@ -25,6 +25,8 @@ HIGHEST, HIGHEST_IN_PLANE, HIGHEST_OF_DRAG = 5, 3, 2
 """Powers of the place on a line, in a plane, and of the place by which a drag changes."""
 LARGEST_ABOUT = 3
 """Terms in one sum about a centre."""
+ODD = NEW + 1
+"""How much a term adds that no textbook has: a power beyond the third, a drag by a place."""
 FAR = 2.0
 """Extents of the tracks from the origin at which powers are still taken about it."""
 ACROSS = 5
@@ -112,15 +114,21 @@ def _rows(view, coordinates, highest, is_odd=False):
     degrees = degrees if len(coordinates) > 1 else [(a,) for a in powers]
     own = [each for each in degrees if not is_odd or each[0] % 2]
     rows = [
-        (product([*_factors(coordinates, each), direction]), 2 * (sum(each) > 1))
+        (product([*_factors(coordinates, each), direction]), _news(sum(each), (2, 3)))
         for _, direction in coordinates for each in own
     ]  # fmt: skip
     velocity = Input("v_i", STATE_INPUTS["v_i"])
     for each in degrees:
         is_even = not is_odd or not each[0] % 2
         if 0 < sum(each) <= HIGHEST_OF_DRAG and is_even:
-            rows.append((product([*_factors(coordinates, each), velocity]), 2))
+            drag = product([*_factors(coordinates, each), velocity])
+            rows.append((drag, _news(max(each), (2,))))
     return rows + drags(view, coordinates)
+
+
+def _news(power, known):
+    """How much a term adds to what a grammar has: little where textbooks know such a power."""
+    return 0 if power < min(known) and len(known) > 1 else NEW if power in known else ODD
 
 
 def _factors(coordinates, powers):

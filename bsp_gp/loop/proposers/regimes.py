@@ -9,9 +9,8 @@ import numpy as np
 from scipy import stats
 
 from bsp_gp.language.formula import Call, Constant, Input, Number, product
-from bsp_gp.loop.proposal import Family
+from bsp_gp.loop.proposal import NEW, Family
 from bsp_gp.loop.proposers.libraries import (
-    NEW,
     Placed,
     drags,
     extent_of,
