@@ -12,13 +12,15 @@ from scipy.optimize import minimize_scalar
 from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.hypothesis import Parameter
 from bsp_gp.fitting.parts.ranged import RangedForces
+from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, Input, Number, product, substitute
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import NEW, Proposal
+from bsp_gp.loop.proposal import NEW, Family, Proposal
 from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
 from bsp_gp.loop.proposers.priors import drives
+from bsp_gp.loop.view import gains
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.search.columns import orthonormal
@@ -40,20 +42,25 @@ LOWEST = -8.0
 """Of a power that is fitted."""
 
 
-def proposals_of(view, libraries):
-    """The likeliest sums of libraries as proposals, the likeliest first.
+def family_of(name, view, libraries):
+    """The likeliest sums of libraries as a family.
 
     Parameters
     ----------
+    name : str
+        Of the proposer.
     view : View
     libraries : sequence of Library
 
     Returns
     -------
-    tuple of Proposal
+    Family
     """
-    found, alone = [], None
+    found, alone, best, null = [], None, 0.0, np.zeros(view.moment_draws.shape[1])
     for library in libraries:
+        rank = library.columns.shape[1]
+        best = max(best, float(as_pair(_gain(view, library.columns), rank)))
+        null = np.maximum(null, as_pair(gains(library.columns.T, view.draws_left.T), rank))
         found += sums_of(view, library)
         if left_by(view, library.columns) > SHAKEN * view.n_left:
             alone = waves_alone(view) if alone is None else alone
@@ -62,7 +69,11 @@ def proposals_of(view, libraries):
     reach = REACH * min((loss for loss, *_ in found), default=0.0)
     near = [each for loss, *each in found if loss <= reach]
     proposals = [p for each in near for p in _proposals(view, *each)]
-    return tuple(sorted(proposals, key=lambda p: -p.promise))
+    proposals.sort(key=lambda p: -p.promise)
+    return Family(
+        name, tuple(proposals), best, 2 if proposals else 0, null, n_tried=len(found),
+        is_continuum=True,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +235,8 @@ def _proposal(view, library, own, amounts, gain, wave, more=()):
     return Proposal(
         "law", " + ".join(map(to_text, formulas)), hypothesis,
         -view.criteria.cause_nats * n_causes - odd_nats, gain, len(amounts) + len(ranges),
-        starts=starts, bounds=bounds, formulas=tuple(formulas), n_dims=view.dataset.n_dims, is_wide=True, news=news,
+        starts=starts, bounds=bounds, formulas=tuple(formulas), n_dims=view.dataset.n_dims,
+        is_wide=True, news=news,
     )  # fmt: skip
 
 

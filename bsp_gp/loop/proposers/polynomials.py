@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from bsp_gp.language.formula import Call, Constant, Input, Number, product
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.loop.proposal import NEW, Family
-from bsp_gp.loop.proposers.libraries import Placed, drags, extent_of, library_of, proposals_of
+from bsp_gp.loop.proposers.libraries import Placed, drags, extent_of, family_of, library_of
 from bsp_gp.loop.proposers.periods import coordinate_of
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import fresh_name
@@ -60,8 +60,7 @@ class Polynomials:
             libraries.append(_about_a_place(view, axes[0], *extents[0]))
         else:
             libraries.append(_about_a_centre(view, axes, extents))
-        proposals = proposals_of(view, [library for library in libraries if library])
-        return Family(self.name, proposals, n_tried=len(proposals))
+        return family_of(self.name, view, [library for library in libraries if library])
 
 
 def _about_origin(view, axes):

@@ -14,9 +14,9 @@ from bsp_gp.loop.proposers.libraries import (
     Placed,
     drags,
     extent_of,
+    family_of,
     left_by,
     library_of,
-    proposals_of,
 )
 from bsp_gp.loop.proposers.periods import coordinate_of
 from bsp_gp.physics.bodies import dataset_types
@@ -58,8 +58,7 @@ class Regimes:
             found = placed.best_on_line()
             if found is not None and left_by(view, found.columns) < bar:
                 libraries.append(found)
-        proposals = proposals_of(view, libraries)
-        return Family(self.name, proposals, n_tried=len(proposals))
+        return family_of(self.name, view, libraries)
 
 
 _SIDES = "sub", "add"
