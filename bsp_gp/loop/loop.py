@@ -1105,7 +1105,8 @@ def _order(proposal):
     would be behind a dozen of them.
     """
     is_misread = proposal.kind == "measurement" and proposal.is_afresh
-    return not proposal.is_first, not proposal.is_sole, not is_misread
+    is_series = bool(proposal.news)  # it can stand for any form: those of textbooks come first
+    return not proposal.is_first, not proposal.is_sole, not is_misread, is_series
 
 
 def _evened(proposal, top):

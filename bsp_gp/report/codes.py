@@ -29,7 +29,7 @@ CAUSES = {
     "collision": "a collision",
     "bounce": "a floor or wall that it bounces off",
     "rod": "a distance that stays constant: a string or rod",
-    "wire": "a line or plane that is kept to: a wire or rail",
+    "wire": "a line, curve or plane that is kept to: a wire or rail",
     "frame": "a frame that turns: Coriolis and centrifugal forces",
     "reference": "the acceleration of the body from which places count",
     "kicks": "random kicks", "noise": "noise with a memory from row to row",

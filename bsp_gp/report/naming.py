@@ -42,6 +42,8 @@ def describe(formula, value=None, other="the other body", exponents=()):
         if value is not None and value < 0:
             phrase = re.sub(r"^force to a point", "force away from a point", phrase)
             phrase = re.sub(r"^spring to a rest point", "push away from a point", phrase)
+        if value is not None and value > 0:
+            phrase = re.sub("^spring (along .) to a rest", r"push \1 away from a", phrase)
     else:
         condition = conditions[-1] if conditions else None
         phrase = _phrase(direction, condition, powers, value, bool(loose))
@@ -89,6 +91,9 @@ _WHOLE = (
      "force along {0} that repeats with {0} (a washboard, an egg crate)"),
     (r"Omega\d*(?:_x\d*)?\b.*v_i\)", "a frame that turns (Coriolis and centrifugal forces)"),
     (r"norm\(v_i - .*u_\w+ \* e_.*\) \* \(v_i - ", "drag in a wind, quadratic in speed"),
+    (r"^\(([xyz])_i - \w+\)\^2 \* v_i$",
+     "drag, linear in speed, as the square of the way along {0} from a place"),
+    (r"^\(([xyz])_i - \w+\) \* e_\1$", "spring along {0} to a rest point"),
     (r"^(?:m_i \* )?\(([xyz])_i - \w+\)\^3 (?:\* m_i )?\* e_\1$",
      "spring along {0} that hardens or softens, cubic in its stretch"),
     (r"^(?:m_i \* )?abs\(([xyz])_i - \w+\) \* \(\1_i - \w+\) (?:\* m_i )?\* e_\1$",
@@ -291,7 +296,7 @@ def period(effect):
 
 def constant_distance(effect):
     """A rod in plain words: "distance to (0.02, 1.61) m is constant, 0.800 m: a string or rod"."""
-    unit, (between, length) = effect.constants[-1].unit, effect.name.rsplit(" = ", 1)
+    unit, (between, length) = effect.constants[0].unit, effect.name.rsplit(" = ", 1)
     place = re.search(r"\(([^()]*,[^()]*)\)", between)
     if place:
         point = ", ".join(format_number(float(x), 3) for x in place[1].split(","))
@@ -301,6 +306,14 @@ def constant_distance(effect):
         to = f"of {first} and {second}"
     size = with_unit(format_number(float(length), 3), unit)
     return f"distance {to} is constant, {size}: a string or rod"
+
+
+def kept_curve(effect):
+    """A line, curve or plane that is kept to; a curve with its equation: "y = 0.7 * x^2"."""
+    if "^" not in effect.name:
+        return CAUSES["wire"]
+    equation = re.sub(r"\b([xyz])_\w+", r"\1", effect.name).replace("+ -", "- ")
+    return f"a curve that is kept to, a wire or rail: {equation}"
 
 
 def inclination(effect):

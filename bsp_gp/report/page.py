@@ -29,6 +29,7 @@ from bsp_gp.report.naming import (
     constant_distance,
     describe,
     inclination,
+    kept_curve,
     period,
     ripple,
 )
@@ -230,8 +231,8 @@ def _name(effect, parts, other):
         phrase += period(effect) if effect.code == "period" else ""
         own = OWN_STRENGTHS.get(effect.code)
         return f"{phrase}, {own}" if own else phrase
-    if effect.code == "rod":
-        return constant_distance(effect)
+    if effect.code in ("rod", "wire"):
+        return {"rod": constant_distance, "wire": kept_curve}[effect.code](effect)
     return CAUSES.get(effect.code, effect.name)
 
 

@@ -1,4 +1,4 @@
-"""Constraints that tracks betray: a distance, a line or a plane that stays what it is."""
+"""Constraints that tracks betray: a distance, a line, curve or plane that stays what it is."""
 
 import math
 from dataclasses import dataclass
@@ -10,9 +10,12 @@ from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.parts.constraints import read_constraint
 from bsp_gp.fitting.probes import probe_terms
+from bsp_gp.language.formula import Call, Constant
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
+from bsp_gp.loop.proposers.periods import coordinate_of
+from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.constrained import constraints_of
-from bsp_gp.physics.force import ForceLaw, fresh_name
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
 CONSTANT = 3.0
 """Deviations of a constant quantity, in those that its changes from row to row tell of noise."""
@@ -26,6 +29,12 @@ MISFIT = 9.0
 """Mean square of what the law leaves, in the same, from which bodies may be held."""
 MOST = 0.7
 """Part of all misfit that must be of bodies on rods, if nothing else is to be looked at first."""
+CURVED = (2, 3, 4)
+"""Degrees of curves along which bodies may go."""
+COMES_BACK = 0.5
+"""Part of the way along a curve that a body must come back."""
+LEANING = 0.1
+"""Part of the greatest component of a weight from which another one is asked for."""
 LEAST_ROWS = 12
 EXACT = 1e-7
 """Part of the extent below which deviations are rounding."""
@@ -54,6 +63,10 @@ class _Kept:
         Whether nothing else would keep the quantity: an orbit may be round, at an even speed.
     normal : tuple of float or None
         Across a line or plane.
+    spread : float, m
+        Of places about a curve.
+    way : tuple of float
+        Whither a weight pulls that keeps the body swinging.
     """
 
     code: str
@@ -64,6 +77,8 @@ class _Kept:
     level: float
     is_sole: bool = False
     normal: tuple | None = None
+    spread: float = 0.0
+    way: tuple = ()
 
 
 class Rods:
@@ -80,7 +95,7 @@ class Rods:
         tracks = _tracks(view.dataset)
         names = dict.fromkeys(s.names[k] for s in view.dataset.scenes for k in s.dynamic)
         free = [name for name in names if name in tracks and name not in held]
-        found = [kept for name in free for kept in (_alone(name, tracks[name]),)]
+        found = [kept for name in free for kept in _alone(name, tracks[name])]
         others = free if len(free) <= MOST_BODIES else []
         still = [name for name in tracks if name not in names]
         found += [
@@ -108,11 +123,11 @@ def _tracks(dataset):
 
 
 def _alone(name, tracks):
-    """The point or the line about which a body moves; None where there is none."""
+    """The line along which, or the point about which and the curve along which a body moves."""
     places = np.concatenate(list(tracks.values()))
     seen = np.isfinite(places).all(axis=1)
     if seen.sum() < LEAST_ROWS:
-        return None
+        return []
     middle = places[seen].mean(axis=0)
     axes = np.linalg.svd(places[seen] - middle, full_matrices=False)[2]
     line = {key: (p - middle) @ axes[-1] for key, p in tracks.items()}
@@ -121,16 +136,59 @@ def _alone(name, tracks):
         names = "xyz"[: len(middle)]
         text = " + ".join(f"{axes[-1][k]:.6g} * {x}_i" for k, x in enumerate(names)) + " = {0}"
         values = (float(middle @ axes[-1]),)
-        return _Kept("wire", text, (name, ""), ("b",), values, level, normal=tuple(axes[-1]))
+        return [_Kept("wire", text, (name, ""), ("b",), values, level, normal=tuple(axes[-1]))]
+    curve = _along_a_curve(name, tracks) if len(middle) == 2 else None
     centre, radius = _sphere(places[seen])
     spread, level = deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
     if bend < BENT * level or not _is_constant(spread, level, places[seen]):
-        return None
+        return [curve] if curve is not None and bend > BENT * level else []
     stems = tuple(f"pivot_{axis}" for axis in "xyz"[: len(centre)])
     point = ", ".join(f"{{{k}}}" for k in range(len(centre)))
     text = f"norm(p_i - ({point})) = {{{len(centre)}}}"
     values = (*centre.tolist(), radius)
-    return _Kept("rod", text, (name, ""), (*stems, "L"), values, level, _is_uneven(tracks))
+    rod = _Kept("rod", text, (name, ""), (*stems, "L"), values, level, _is_uneven(tracks),
+                way=tuple((middle - centre).tolist()))  # fmt: skip
+    if curve is None:
+        return [rod]
+    return [curve if curve.spread < spread else rod]
+
+
+def _along_a_curve(name, tracks):
+    """The curve in a plane, one coordinate as a polynomial of the other, that a body goes along.
+
+    None where there is none, and where nothing comes back along it: what is thrown flies along a
+    parabola as well.
+    """
+    for of, along in ((1, 0), (0, 1)):
+        rows = [p[np.isfinite(p).all(axis=1)] for p in tracks.values()]
+        places = np.concatenate(rows)
+        swept = float(np.ptp(places[:, along]))
+        back = max(_gone_back(own[:, along]) for own in rows if len(own) > 1)
+        if not back > COMES_BACK * swept:
+            continue
+        for degree in CURVED:
+            curve = np.polynomial.Polynomial.fit(places[:, along], places[:, of], degree)
+            slope = curve.deriv()
+            left = {
+                key: (p[:, of] - curve(p[:, along])) / np.hypot(1.0, slope(p[:, along]))
+                for key, p in tracks.items()
+            }
+            spread, level = deviation(left)
+            if _is_constant(spread, level, places):
+                values = tuple(curve.convert().coef.tolist())
+                terms = ["{0}", f"{{1}} * {'xy'[along]}_i"]
+                terms += [f"{{{k}}} * {'xy'[along]}_i^{k}" for k in range(2, degree + 1)]
+                text = f"{'xy'[of]}_i = " + " + ".join(terms)
+                stems = tuple(f"rail_{k}" for k in "abcde"[: degree + 1])
+                return _Kept("wire", text, (name, ""), stems, values, level, True, spread=spread,
+                             way=tuple(float(k == of) for k in (0, 1)))  # fmt: skip
+    return None
+
+
+def _gone_back(places):
+    """How far a coordinate comes back from the farthest that it had reached, on either side."""
+    ways = (places, -places)
+    return min(float((np.maximum.accumulate(way) - way).max()) for way in ways)
 
 
 def _together(one, other, tracks):
@@ -196,17 +254,36 @@ def _proposal(view, kept, every, n_tried):
     except LawError:  # masses that a rod would need are not known
         return None
     part = part.at(dict(zip(names, kept.values, strict=True)))
-    log_prior = -view.criteria.cause_nats - math.log(n_tried)
+    pushes = _pushes(view, kept)
+    log_prior = -view.criteria.cause_nats * (1 + len(pushes)) - math.log(n_tried)
     text = kept.text.format(*(f"{value:.4g}" for value in kept.values))
     for letter, name in zip("ij", kept.pair, strict=True):
         text = text.replace(f"_{letter}", f"_{name}") if name else text
     hypothesis = view.hypothesis + part
+    if pushes:
+        strengths = {name: math.nan for term in pushes for name in term.formula.constants}
+        hypothesis = hypothesis + Forces(ForceLaw(pushes, strengths))
     is_sole = kept.is_sole and _share(fit, every) > MOST
     return Proposal(
-        kept.code, text, hypothesis, log_prior, gain, len(names), kind="constraint",
+        kept.code, text, hypothesis, log_prior, gain, len(names) + len(pushes), kind="constraint",
         judged=beside_probes(fit, hypothesis), error=level, is_sole=is_sole, patience=PATIENT,
         is_afresh=True,
     )  # fmt: skip
+
+
+def _pushes(view, kept):
+    """The weight that keeps a held body swinging, where no force at all is known; else ()."""
+    if view.fit.law.terms or not (kept.is_sole and kept.way):
+        return ()
+    law, terms, most = view.fit.law, [], max(map(abs, kept.way))
+    types = dataset_types(view.dataset)
+    for axis, along in enumerate(kept.way):
+        if abs(along) > LEANING * most:
+            name = fresh_name(law, "c")
+            push = Call("mul", Constant(name), coordinate_of(types, axis)[1])
+            terms.append(Term(push, "field"))
+            law = law.plus(terms[-1], {name: math.nan})
+    return tuple(terms)
 
 
 def beside_probes(fit, hypothesis):
@@ -234,9 +311,10 @@ def _misfit(fit, kept, levels, level):
     channels, names = fit.channels, fit.channels.body_names
     if kept.normal is None:
         own = np.isin(channels.body, [k for k, name in enumerate(names) if name in kept.pair])
-        size = 2 * float(np.log(levels / level).mean()) - 1
-        n_rows = int(channels.seen[:, own].sum())
-        return float(np.square(fit.whitened[:, own]).sum()) + n_rows * size, n_rows
+        seen = channels.seen & own
+        # A memory of the noise may have taken up what a motion is: what is left is told without.
+        left = float(np.square(fit.residual[seen] / level).sum())
+        return left - np.count_nonzero(seen), np.count_nonzero(seen)
     mine = names.index(kept.pair[0])
     across = []
     for chain in np.unique(channels.chain):
