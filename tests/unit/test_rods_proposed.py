@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposers import rods
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.view import View
@@ -69,6 +71,46 @@ def test_a_wire_is_proposed_where_the_weight_would_have_the_body_leave_it():
     way = 0.5 * 2.0 * t**2
     (proposal,) = Rods().propose(looked_at(track(t, -0.8 * way, -0.6 * way), [WEIGHT])).proposals
     assert proposal.code == "wire"
+
+
+def rolling(steep=0.72, n=150):
+    """A bead that slides to and fro along a parabola."""
+
+    def rate(t, s):
+        x, v = s
+        a = 2 * steep
+        return [v, -(a * a * x * v * v + 9.81 * a * x + 0.05 * v) / (1 + a * a * x * x)]
+
+    t = np.arange(n) / 30
+    x = solve_ivp(rate, (0, t[-1]), [0.4, 0.0], t_eval=t, rtol=1e-9, atol=1e-11).y[0]
+    return track(t, x, steep * x**2)
+
+
+def test_a_curve_along_which_a_body_comes_back_is_a_wire():
+    (proposal,) = Rods().propose(looked_at(rolling(), [WEIGHT])).proposals
+    assert proposal.code == "wire"
+    assert float(proposal.text.split("+ ")[-1].split(" ")[0]) == pytest.approx(0.72, abs=0.02)
+
+
+def test_what_is_thrown_along_a_parabola_is_on_no_wire():
+    t = np.arange(60) * 0.02
+    family = Rods().propose(looked_at(track(t, 1.2 * t, 5.0 * t - 4.905 * t**2), []))
+    assert family.proposals == ()
+
+
+def test_a_rod_brings_a_weight_where_no_force_is_declared():
+    (proposal,) = Rods().propose(looked_at(bob(n=150), [])).proposals
+    (push,) = proposal.hypothesis.law.terms
+    assert "e_y" in to_text(push.formula)
+
+
+@pytest.mark.slow
+def test_a_filmed_pendulum_needs_no_declaration():
+    data = bob(lambda v: -0.15 * v, n=150)
+    report = bsp_gp.close_loop(data, [], rng=np.random.default_rng(0), n_bootstrap=0)
+    found = {c.name: c for c in report.constants}
+    assert [done.effect.code for done in report.rounds if done.adopted] == ["rod", "law"]
+    assert found["c1"].value == pytest.approx(-9.81, abs=0.05)
 
 
 @pytest.mark.parametrize("rate", [9.0, 6.0])
