@@ -17,6 +17,7 @@ from bsp_gp.loop.view import View, selected
 from tests.loop_views import throws, view_of
 
 SIGMA = 5e-3
+POWERS = Polynomials(Laws(load_grammar("physics"), throws(np.random.default_rng(0))))
 
 
 def driven(rate, first, until, n, names="x", sigma=SIGMA, seed=0):
@@ -49,7 +50,7 @@ def looked_at(data, laws=()):
 def test_powers_of_a_well_are_chosen_and_their_coefficients_fitted():
     data = well()
     view = looked_at(data)
-    family = Polynomials().propose(view)
+    family = POWERS.propose(view)
     texts = {p.text.replace("c1 ", "c ").replace("c2 ", "c ").replace("c3 ", "c "): p
              for p in family.proposals}  # fmt: skip
     proposal = texts["c * (x_i * e_x) + c * (x_i^3 * e_x) + c * v_i"]
@@ -75,7 +76,7 @@ def test_series_of_many_or_odd_terms_may_stand_for_any_force():
     assert proposal(0, ODD).is_series
 
 
-@pytest.mark.parametrize("proposer", [Polynomials(), Regimes()], ids=["powers", "regimes"])
+@pytest.mark.parametrize("proposer", [POWERS, Regimes()], ids=["powers", "regimes"])
 def test_noise_alone_is_no_series(proposer):
     """Throws under the law that is declared; laws of the grammar have explained nothing."""
     chances = []
@@ -95,7 +96,7 @@ def test_pairs_of_powers_about_a_centre_leave_one_power_to_be_fitted():
         return [s[2], s[3], pull * (s[0] - 0.2), pull * (s[1] + 0.1)]
 
     data = driven(rate, [1.2, -0.1, 0.0, 1.2], 25.0, 350, names="xy", sigma=1e-3)
-    family = Polynomials().propose(looked_at(data))
+    family = POWERS.propose(looked_at(data))
     free = [p for p in family.proposals if "^n1 *" in p.text and len(p.formulas) == 2]
     assert free
     assert "^-2 *" in free[0].text

@@ -47,7 +47,7 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     inside = Inside(laws, dataset)
     return [
-        laws, inside, Polynomials(), Regimes(), Swings(inside), ByOwner(laws), OwnLaws(laws),
+        laws, inside, Polynomials(laws), Regimes(), Swings(inside), ByOwner(laws), OwnLaws(laws),
         Declared(), Varying(), Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(),
         Inclinations(), References(), Sources(), Hidden(), Aslant(), Companions(), Kicks(),
         Contacts(), Walls(), Rods(), Anchors(), Measurement(), LateLogs(), Defects(), Hands(),

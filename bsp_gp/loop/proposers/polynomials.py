@@ -18,7 +18,7 @@ from bsp_gp.loop.proposal import NEW, Family
 from bsp_gp.loop.proposers.libraries import Placed, drags, extent_of, family_of, library_of
 from bsp_gp.loop.proposers.periods import coordinate_of
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import fresh_name
+from bsp_gp.physics.force import fresh_name, split_linear
 from bsp_gp.search.inner import PLACE
 
 HIGHEST, HIGHEST_IN_PLANE, HIGHEST_OF_DRAG = 5, 3, 2
@@ -38,16 +38,27 @@ MOST_LOOKS = 100
 
 
 class Polynomials:
-    """Sums of powers of place and speed, for a body that moves alone, as a proposer."""
+    """Sums of powers of place and speed, for a body that moves alone, as a proposer.
+
+    Parameters
+    ----------
+    laws : Laws
+        Asked before in every round.
+    """
 
     name = "polynomials"
     is_alone = False
+
+    def __init__(self, laws):
+        self.laws = laws
 
     def propose(self, view):
         """The family of the likeliest sums, where no law of the grammar explains all."""
         axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
         is_lone = all(len(scene.dynamic) == 1 for scene in view.dataset.scenes)
-        if not is_lone or view.is_sky or not len(axes):
+        # In pictures of the sky bodies go round others that are not seen; a satellite's places are
+        # known in space, and its centre need be no point.
+        if not is_lone or not len(axes) or (view.is_sky and len(axes) < 3):
             return Family(self.name)
         left = view.left @ view.left - view.explained
         if stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha:
@@ -59,8 +70,14 @@ class Polynomials:
         if len(axes) == 1:
             libraries.append(_about_a_place(view, axes[0], *extents[0]))
         else:
-            libraries.append(_about_a_centre(view, axes, extents))
+            libraries.append(_about_a_centre(view, axes, extents, self._placed()))
         return family_of(self.name, view, [library for library in libraries if library])
+
+
+    def _placed(self):
+        """Laws of textbooks by which a place matters to a body alone: an oblate centre."""
+        forms = [split_linear(law)[1] for law in self.laws.common]
+        return [form for form in forms if "p_i" in form.inputs and "p_j" not in form.inputs]
 
 
 def _about_origin(view, axes):
@@ -80,8 +97,8 @@ def _about_a_place(view, axis, low, high):
     return Placed(view, rows, (name,), ((low, high),), coordinate.type.unit).best_on_line()
 
 
-def _about_a_centre(view, axes, extents):
-    """Powers of the distance to the point where these explain most."""
+def _about_a_centre(view, axes, extents, placed):
+    """Powers of the distance to the point where these explain most, beside what is placed."""
     types = dataset_types(view.dataset)
     names = tuple(fresh_name(view.fit.law, f"{PLACE}{'xyz'[axis]}") for axis in axes)
     way, origin = None, Input("origin", types["origin"])
@@ -95,6 +112,7 @@ def _about_a_centre(view, axes, extents):
     free = product([Call("pow", distance, power), towards])
     freed = {formula: (free, k) for (formula, _), k in zip(rows, OF_DISTANCE, strict=True)}
     rows += [(coordinate_of(types, axis)[1], 0) for axis in axes] + drags(view, axes)
+    rows += [(form, 1) for form in placed]
     placed = Placed(view, rows, names, tuple(extents), STATE_INPUTS["p_i"].unit)
     lines = [np.linspace(*extent, ACROSS + 2)[1:-1] for extent in extents]
     grid = np.stack(np.meshgrid(*lines), axis=-1).reshape(-1, len(axes))
