@@ -418,7 +418,7 @@ class _Turn:
         self.chances = {
             f.name: selected(f.gain, f.rank, f.null, view.noise_dof, f.is_continuum)
             for f in self.families
-            if f.n_tried or f.rank
+            if (f.n_tried or f.rank) and not f.is_led
         }
         if not self.chances:
             return 1.0
@@ -433,6 +433,7 @@ class _Turn:
         )
         controls = [(f.name, p) for f in self.families if f.is_control for p in f.proposals]
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
+        clear += [f.name for f in self.families if f.is_led and clear]
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
         queue = [*controls, *chosen]
         n_first, above, least, highest, asked, left = len(queue), {}, {}, {}, {}, {}

@@ -187,6 +187,9 @@ class Family:
     n_tried : int
     is_partial : bool
         Whether the time was up before all was tried.
+    is_led : bool
+        Whether it says nothing of whether anything is missing, since it can stand for any force, a
+        slow error among them; what it has is fitted where others say so.
     """
 
     name: str
@@ -199,6 +202,7 @@ class Family:
     is_continuum: bool = False
     n_tried: int = 0
     is_partial: bool = False
+    is_led: bool = False
 
 
 def both_of(first, second):

@@ -1,16 +1,24 @@
 """Causes that do not explain all are not judged by the less noise that is told beside them."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.loop.loop import _more_under
+from tests.throws import SI
 
 
 def noise(*levels, is_free=True):
-    return SimpleNamespace(levels=levels, is_free=np.full(len(levels), is_free))
+    return SimpleNamespace(
+        levels=levels, is_free=np.full(len(levels), is_free), degrees=math.inf
+    )  # fmt: skip
 
 
 def found(chi2_red, levels, is_failed=False, is_free=True):
@@ -43,3 +51,21 @@ def test_it_has_no_more_than_the_law_without_the_cause():
 )  # fmt: skip
 def test_nothing_is_gained_where_all_is_explained_or_the_noise_known(base, fit):
     assert _more_under(base, fit) == 0.0
+
+
+def test_under_tails_more_noise_is_no_quadratic_form():
+    """Of a misfit under Student's t it had been thousands of nats."""
+    rng = np.random.default_rng(4)
+    scene = Scene("a", np.arange(300.0), rng.standard_normal((300, 1, 2)), (Entity("ball"),))
+    data = Dataset("rest", (scene,), units=SI)
+    fitted = fit(Hypothesis.from_laws(data, []), data)
+    model = replace(fitted.noise, degrees=4.0, levels=(0.2, 0.2))
+    tailed = replace(
+        fitted, noise=model, chisqr=float(np.square(fitted.residual / 0.2).sum()),
+        log_likelihood=log_likelihood(model, fitted.channels, fitted.residual),
+    )  # fmt: skip
+    more = _more_under(replace(model, levels=(0.8, 0.8)), tailed)
+    larger = replace(model, levels=(0.8, 0.8))
+    exact = log_likelihood(larger, fitted.channels, fitted.residual) - tailed.log_likelihood
+    assert more == pytest.approx(exact)
+    assert more < 0.5 * tailed.chisqr / 2

@@ -9,6 +9,8 @@ import pytest
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.contacts import Kick
+from bsp_gp.language.inputs import STATE_INPUTS
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.criteria import CAUSES, REASONS, VERDICTS, Criteria
 from bsp_gp.loop.decide import decide
 from bsp_gp.loop.evidence import log_evidence
@@ -69,16 +71,32 @@ def test_odd_noise_is_told_where_nothing_else_can_be_fitted():
 @pytest.mark.parametrize(("n_laws", "is_said"), [(3, False), (4, True)])
 def test_many_forces_only_describe(n_laws, is_said):
     """As many terms as of a series: rather one force of another form."""
-    best, formulas = row(1), ("c1 * v_i",) * 2
+    first, second = (
+        tuple(parse_formula(text, STATE_INPUTS) for text in texts)
+        for texts in (("c1 * v_i", "c2 * (norm(v_i) * v_i)"), ("c3 * e_x", "c4 * e_y"))
+    )
+    best = row(1)
     rounds = [
         SimpleNamespace(
-            number=k, proposals={1: SimpleNamespace(formulas=own)},
+            number=k, proposals={1: SimpleNamespace(formulas=own, is_series=False)},
             decision=SimpleNamespace(is_adopted=True, best=best),
         )
-        for k, own in enumerate([formulas, formulas[: n_laws - 2]], 1)
+        for k, own in enumerate([first, second[: n_laws - 2]], 1)
     ]  # fmt: skip
     assert is_many(rounds, ()) is is_said
     assert not is_many(rounds, {2})
+
+
+def test_powers_of_a_coordinate_along_its_axis_are_one_force():
+    texts = "c1 * (x_i * e_x)", "c2 * (x_i^3 * e_x)", "c3 * e_x", "c4 * v_i", "c5 * (x_i * e_y)"
+    formulas = tuple(parse_formula(text, STATE_INPUTS) for text in texts)
+    done = SimpleNamespace(
+        number=1, proposals={1: SimpleNamespace(formulas=formulas, is_series=False)},
+        decision=SimpleNamespace(is_adopted=True, best=row(1)),
+    )  # fmt: skip
+    assert not is_many([done], ())
+    done.proposals[1].is_series = True
+    assert is_many([done], ())
 
 
 @pytest.mark.parametrize(("bodies", "is_said"), [("aaa", False), ("aaab", False), ("aaaab", True)])
@@ -89,7 +107,7 @@ def test_a_body_that_is_kicked_all_the_time_is_pushed(bodies, is_said):
         for k, body in enumerate(bodies)
     )
     done = SimpleNamespace(
-        number=1, proposals={1: SimpleNamespace(formulas=())},
+        number=1, proposals={1: SimpleNamespace(formulas=(), is_series=False)},
         hypotheses={1: SimpleNamespace(parts=kicks)},
         decision=SimpleNamespace(is_adopted=True, best=row(1, "contact")),
     )  # fmt: skip

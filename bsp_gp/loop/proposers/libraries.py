@@ -12,7 +12,6 @@ from scipy.optimize import minimize_scalar
 from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.hypothesis import Parameter
 from bsp_gp.fitting.parts.ranged import RangedForces
-from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, Input, Number, product, substitute
 from bsp_gp.language.inputs import STATE_INPUTS
@@ -20,7 +19,6 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import NEW, Family, Proposal
 from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
 from bsp_gp.loop.proposers.priors import drives
-from bsp_gp.loop.view import gains
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.search.columns import orthonormal
@@ -56,11 +54,8 @@ def family_of(name, view, libraries):
     -------
     Family
     """
-    found, alone, best, null = [], None, 0.0, np.zeros(view.moment_draws.shape[1])
+    found, alone = [], None
     for library in libraries:
-        rank = library.columns.shape[1]
-        best = max(best, float(as_pair(_gain(view, library.columns), rank)))
-        null = np.maximum(null, as_pair(gains(library.columns.T, view.draws_left.T), rank))
         found += sums_of(view, library)
         if left_by(view, library.columns) > SHAKEN * view.n_left:
             alone = waves_alone(view) if alone is None else alone
@@ -70,10 +65,7 @@ def family_of(name, view, libraries):
     near = [each for loss, *each in found if loss <= reach]
     proposals = [p for each in near for p in _proposals(view, *each)]
     proposals.sort(key=lambda p: -p.promise)
-    return Family(
-        name, tuple(proposals), best, 2 if proposals else 0, null, n_tried=len(found),
-        is_continuum=True,
-    )  # fmt: skip
+    return Family(name, tuple(proposals), n_tried=len(found), is_led=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +176,12 @@ def sums_of(view, library, wave=None):
     subsets = best_subsets(np.where(is_own, beside, 0.0), rest, library.largest, beam=BEAM)
     out = []
     for found in subsets.values():
-        new = [each for each in found if library.news[list(each[1])].sum() >= NEW]
-        out += [(loss, library, members, wave) for loss, members in new[:MOST]]
+        news = [int(library.news[list(members)].sum()) for _, members in found]
+        # What textbooks have is likelier: every further term that is new costs as a cause does.
+        costs = [loss + view.criteria.cause_nats * new / NEW
+                 for (loss, _), new in zip(found, news, strict=True)]  # fmt: skip
+        best = [k for k in np.argsort(costs, kind="stable") if news[k] >= NEW][:MOST]
+        out += [(found[k][0], library, found[k][1], wave) for k in best]
     return out
 
 
