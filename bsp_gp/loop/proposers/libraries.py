@@ -7,6 +7,7 @@ about a place that is sought, and beside a push with a period where they leave m
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import stats
 from scipy.optimize import minimize_scalar
 
 from bsp_gp.errors import EvaluationError
@@ -38,6 +39,19 @@ SEPARATE = 0.02
 """Part of a term that must lie beside the law, and beside a wave, to count as its own."""
 LOWEST = -8.0
 """Of a power that is fitted."""
+
+
+def moving_axes(view):
+    """Axes along which anything moves, ndarray of int."""
+    return np.flatnonzero(np.isfinite(view.fit.noise.levels))
+
+
+def asks_series(view):
+    """Whether bodies move alone, and no law of the grammar leaves mere noise."""
+    is_lone = all(len(scene.dynamic) == 1 for scene in view.dataset.scenes)
+    left = view.left @ view.left - view.explained
+    is_noise = stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha
+    return is_lone and len(moving_axes(view)) > 0 and not is_noise
 
 
 def family_of(name, view, libraries):

@@ -9,13 +9,20 @@ about the origin, on a line about a place that is fitted, and of the distance to
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import minimize
 
 from bsp_gp.language.formula import Call, Constant, Input, Number, product
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.loop.proposal import NEW, Family
-from bsp_gp.loop.proposers.libraries import Placed, drags, extent_of, family_of, library_of
+from bsp_gp.loop.proposers.libraries import (
+    Placed,
+    asks_series,
+    drags,
+    extent_of,
+    family_of,
+    library_of,
+    moving_axes,
+)
 from bsp_gp.loop.proposers.periods import coordinate_of
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import fresh_name, split_linear
@@ -54,14 +61,10 @@ class Polynomials:
 
     def propose(self, view):
         """The family of the likeliest sums, where no law of the grammar explains all."""
-        axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
-        is_lone = all(len(scene.dynamic) == 1 for scene in view.dataset.scenes)
+        axes = moving_axes(view)
         # In pictures of the sky bodies go round others that are not seen; a satellite's places are
         # known in space, and its centre need be no point.
-        if not is_lone or not len(axes) or (view.is_sky and len(axes) < 3):
-            return Family(self.name)
-        left = view.left @ view.left - view.explained
-        if stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha:
+        if not asks_series(view) or (view.is_sky and len(axes) < 3):
             return Family(self.name)
         libraries, extents = [], [extent_of(view, axis) for axis in axes]
         is_flat = len(axes) <= 2
@@ -72,7 +75,6 @@ class Polynomials:
         else:
             libraries.append(_about_a_centre(view, axes, extents, self._placed()))
         return family_of(self.name, view, [library for library in libraries if library])
-
 
     def _placed(self):
         """Laws of textbooks by which a place matters to a body alone: an oblate centre."""
@@ -101,11 +103,11 @@ def _about_a_centre(view, axes, extents, placed):
     """Powers of the distance to the point where these explain most, beside what is placed."""
     types = dataset_types(view.dataset)
     names = tuple(fresh_name(view.fit.law, f"{PLACE}{'xyz'[axis]}") for axis in axes)
-    way, origin = None, Input("origin", types["origin"])
+    centre = Input("origin", types["origin"])
     for name, axis in zip(names, axes, strict=True):
         _, direction = coordinate_of(types, axis)
-        origin = Call("add", origin, Call("mul", Constant(name), direction))
-    way = Call("sub", origin, Input("p_i", types["p_i"]))
+        centre = Call("add", centre, Call("mul", Constant(name), direction))
+    way = Call("sub", centre, Input("p_i", types["p_i"]))
     distance, towards = Call("norm", way), Call("normalize", way)
     rows = [(product([_power(distance, k), towards]) if k else towards, 1) for k in OF_DISTANCE]
     power = Constant(fresh_name(view.fit.law, "n"))

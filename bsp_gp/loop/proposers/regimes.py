@@ -5,18 +5,17 @@ looks for one cause finds a kick there. So the terms of textbooks are taken ever
 and on the other, and sums of them chosen as a whole where all of them together explain most.
 """
 
-import numpy as np
-from scipy import stats
-
 from bsp_gp.language.formula import Call, Constant, Input, Number, product
 from bsp_gp.loop.proposal import NEW, Family
 from bsp_gp.loop.proposers.libraries import (
     Placed,
+    asks_series,
     drags,
     extent_of,
     family_of,
     left_by,
     library_of,
+    moving_axes,
 )
 from bsp_gp.loop.proposers.periods import coordinate_of
 from bsp_gp.physics.bodies import dataset_types
@@ -34,14 +33,9 @@ class Regimes:
 
     def propose(self, view):
         """The family of the likeliest sums, where laws that are the same everywhere leave much."""
-        axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
-        scenes = view.dataset.scenes
-        is_lone = all(len(scene.dynamic) == 1 for scene in scenes)
-        if not is_lone or view.is_sky or not len(axes):
+        if view.is_sky or not asks_series(view):
             return Family(self.name)
-        left = view.left @ view.left - view.explained
-        if stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha:
-            return Family(self.name)
+        axes, scenes = moving_axes(view), view.dataset.scenes
         types = dataset_types(view.dataset)
         rows = [(coordinate_of(types, axis)[1], 0) for axis in axes] + drags(view, axes)
         plain = library_of(view, rows)
