@@ -848,7 +848,8 @@ class _Turn:
             self.judged[len(self.rows)] = (level / told) ** 2 * best.chi2_red
         self.fits[len(self.rows)] = new
         status = "idle" if self._is_idle(proposal, new) else new.status
-        if self.rows[0].is_fit and not new.is_failed and _is_less(self.base, best):
+        is_less = self.rows[0].is_fit and not new.is_failed and _is_less(self.base, best)
+        if is_less or self._is_open_series(proposal, new):
             status = "less"
         # Kicks have every row told by those before it, and no rows of a fit to be compared.
         held_out = HeldOut() if proposal.is_last else held_out_gain(self.base, best)
@@ -857,6 +858,13 @@ class _Turn:
             source, proposal, status, evidence + more, best.log_likelihood + more, best.n_free,
             held_out, self._twin(source, proposal, best),
         )  # fmt: skip
+
+    def _is_open_series(self, proposal, new):
+        """Whether a series, which can stand for any force, does not even explain the tracks.
+
+        It would be likelier than a law that is a part of the truth, and hide the rest of it.
+        """
+        return bool(proposal.news) and not new.is_failed and not self._left(new) < EXPLAINED
 
     def _is_idle(self, proposal, new):
         """Whether a part that a proposal adds does nothing: none of its numbers is told.

@@ -41,8 +41,8 @@ class Row:
         Proposer.
     status : str
         Of its fit; "idle" where a part that it adds does nothing in it, "less" where it explains
-        less than what it extends; "scored", or "linearised" of what nobody lists, beside a row
-        that was fitted.
+        less than what it extends, or is a series that leaves more than noise; "scored", or
+        "linearised" of what nobody lists, beside a row that was fitted.
     log_evidence, log_prior : float, nats
     log_likelihood : float, nats
         Of the tracks, at the best constants and noise.

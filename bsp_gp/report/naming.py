@@ -459,7 +459,7 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         if is_spring and value is not None:
             kind, way = ("spring", "to") if value < 0 else ("push", "away from")
             return f"{kind} along {text[-1]} {way} the origin{where}"
-        is_placed = any(f"{text[-1]}_i" in _input_names(name) for name in powers)
+        is_placed = any(set(_input_names(name)) & {"x_i", "y_i", "z_i"} for name in powers)
         is_even = not (is_placed or set(powers) & {*_SPEEDS, *_COMPONENTS})
         verb = f"uniform push along {text[-1]}" if is_even else f"force along {text[-1]}"
         verb = "torque" if any(_ANGLE.search(name) for name in powers) else verb

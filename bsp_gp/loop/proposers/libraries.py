@@ -18,7 +18,7 @@ from bsp_gp.language.formula import Call, Constant, Input, Number, product, subs
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import NEW, Family, Proposal
-from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
+from bsp_gp.loop.proposers.periods import coordinate_of, wave_beside, waves_alone
 from bsp_gp.loop.proposers.priors import drives
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
@@ -54,7 +54,7 @@ def asks_series(view):
     return is_lone and len(moving_axes(view)) > 0 and not is_noise
 
 
-def family_of(name, view, libraries):
+def family_of(name, view, libraries, has_waves=True):
     """The likeliest sums of libraries as a family.
 
     Parameters
@@ -63,6 +63,8 @@ def family_of(name, view, libraries):
         Of the proposer.
     view : View
     libraries : sequence of Library
+    has_waves : bool
+        Whether a push with a period may act beside them.
 
     Returns
     -------
@@ -71,7 +73,7 @@ def family_of(name, view, libraries):
     found, alone = [], None
     for library in libraries:
         found += sums_of(view, library)
-        if left_by(view, library.columns) > SHAKEN * view.n_left:
+        if has_waves and left_by(view, library.columns) > SHAKEN * view.n_left:
             alone = waves_alone(view) if alone is None else alone
             wave = wave_beside(view, library.columns, alone)
             found += sums_of(view, library, wave) if wave is not None else []
@@ -256,7 +258,11 @@ def drags(view, axes):
     mass = Input("m_i", dataset_types(view.dataset)["m_i"])
     rows = [velocity, Call("mul", Call("norm", velocity), velocity),
             product([mass, Call("normalize", velocity)])]  # fmt: skip
-    rows += [Call("perp", velocity)] * (len(axes) == 2 and view.dataset.n_dims == 2)
+    if view.dataset.n_dims == 2:
+        rows += [Call("perp", velocity)] * (len(axes) == 2)
+    else:
+        types = dataset_types(view.dataset)
+        rows += [Call("cross", coordinate_of(types, axis)[1], velocity) for axis in range(3)]
     return [(row, 0) for row in rows]
 
 

@@ -52,7 +52,7 @@ class Regimes:
             found = placed.best_on_line()
             if found is not None and left_by(view, found.columns) < bar:
                 libraries.append(found)
-        return family_of(self.name, view, libraries)
+        return family_of(self.name, view, libraries, has_waves=False)
 
 
 _SIDES = "sub", "add"
