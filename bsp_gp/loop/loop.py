@@ -549,7 +549,8 @@ class _Turn:
             shared = found, run.dataset, run.criteria, run.bounds, run.clock
             both = _fit_of(shared, job)
             if both is not None and self._left(both[0]) < EXPLAINED:
-                self._fitted(*job, both)
+                after = replace(job[1], after=self.proposals[row.id])
+                self._fitted(job[0], after, both)
 
     def _ends(self):
         """Rows in which ends of tracks are left out that are no part of the motion.
@@ -603,15 +604,24 @@ class _Turn:
                 continue
             self.run.says(f"fit of a limit: {simpler.text}")
             shared = found, self.run.dataset, self.run.criteria, self.run.bounds, self.run.clock
-            self._fitted(row.source, simpler, _fit_of(shared, (row.source, simpler)))
+            new = _fit_of(shared, (row.source, simpler))
+            self._fitted(row.source, replace(simpler, after=proposal), new)
 
     def _prune(self):
         """Leave terms out of the likeliest sum of laws while that makes it likelier.
 
-        Sums are found by their size: of one that is larger than it need be no part was tried.
+        Sums are found by their size: of one that is larger than it need be no part was tried. Of
+        series and of forms of textbooks the likeliest of either kind.
         """
+        self._prune_those([r.id for r in self.rows if r.id in self.proposals
+                           and not self.proposals[r.id].news])  # fmt: skip
+        self._prune_those([r.id for r in self.rows if r.id in self.proposals])
+
+    def _prune_those(self, ids):
+        """The same of rows, and of what becomes of them."""
+        ids = set(ids)
         while not self.run.clock.is_over:
-            fitted = (r for r in self.rows if r.is_fit and r.id in self.proposals)
+            fitted = (r for r in self.rows if r.is_fit and r.id in ids)
             row = max(fitted, key=lambda r: r.log_posterior, default=None)
             if row is None or not row.log_posterior > self.rows[0].log_posterior:
                 return
@@ -619,6 +629,7 @@ class _Turn:
             if proposal.judged is not None or len(proposal.formulas) < 2:
                 return
             smaller = _without_weakest(proposal, found, self.run.criteria)
+            smaller = smaller and replace(smaller, after=None)
             if smaller is None or smaller.key in {r.key for r in self.rows if r.is_fit}:
                 return
             same = (p for f in self.families for p in f.proposals if p.rank == smaller.rank)
@@ -627,7 +638,9 @@ class _Turn:
                 smaller = replace(smaller, log_prior=twin.log_prior, ties=twin.ties)
             self.run.says(f"fit without the weakest term: {smaller.text}")
             shared = found, self.run.dataset, self.run.criteria, self.run.bounds, self.run.clock
-            new = self._fitted(row.source, smaller, _fit_of(shared, (row.source, smaller)))
+            new = _fit_of(shared, (row.source, smaller))
+            new = self._fitted(row.source, replace(smaller, after=proposal), new)
+            ids.add(new.id)
             if not (new.is_fit and new.log_posterior > row.log_posterior):
                 return
 
@@ -652,6 +665,8 @@ class _Turn:
         if self.explained and self.explained.includes(proposal):  # with another power in it
             return True
         near = 0.0 if is_again else 2 * self.run.criteria.class_nats
+        if self.explained and self.explained.proposal.news and not proposal.news:
+            near = math.inf  # what a series explains makes no form of a textbook spare
         return _is_hopeless(proposal, broken) or self._nats_behind(proposal) > near
 
     @property

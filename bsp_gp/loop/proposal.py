@@ -77,6 +77,9 @@ class Proposal:
         Whether it says all of the tracks: nothing is asked for beside it.
     news : dict of Formula to int
         Of terms of a series, how much each adds to what is known of textbooks.
+    after : Proposal or None
+        From whose fit its own begins, in the place of the fit that both extend: that of a larger
+        sum, or of a part of this one.
     """
 
     code: str
@@ -103,6 +106,7 @@ class Proposal:
     is_first: bool = False
     is_last: bool = False
     news: dict = field(default_factory=dict)
+    after: object = None
 
     @property
     def is_series(self):
@@ -149,6 +153,10 @@ class Proposal:
             Of the constants of what is declared.
         deadline : float, optional
         """
+        if self.after is not None:
+            own = {"criteria": criteria, "bounds": bounds, "deadline": deadline}
+            base = self.after.fitted(base, dataset, **own)
+            return replace(self, after=None).fitted(base, dataset, **own)
         known = {
             "starts": self.starts, "bounds": {**self.hypothesis.own(bounds), **self.bounds},
             "deadline": deadline,

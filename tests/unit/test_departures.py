@@ -100,9 +100,10 @@ def test_a_thrust_that_few_rows_show_hides_no_drag():
     report = close_loop(
         dataset(path(rate, (0.0, 0.0, 0.1, 0.0), 2.5, 30)), GRAVITY, rng=0, n_bootstrap=0
     )
-    assert "c1 * (norm(v_i)^2 * normalize(v_i))" in report.rounds[0].effect.name
-    (drag,) = report.constants
-    assert drag.value == pytest.approx(-0.02, abs=0.002)
+    # The thrust is left out, or told as a push that ends.
+    name, found = report.rounds[0].effect.name, {c.name: c for c in report.constants}
+    assert "c1 * (norm(v_i)^2 * normalize(v_i))" in name or "c1 * (norm(v_i) * v_i)" in name
+    assert found["c1"].value == pytest.approx(-0.02, abs=0.002)
 
 
 @pytest.mark.slow

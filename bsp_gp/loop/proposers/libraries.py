@@ -4,6 +4,7 @@ Moments are linear in the coefficients of terms: of a library all sums of a few 
 about a place that is sought, and beside a push with a period where they leave much.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,6 +36,9 @@ REACH = 3.0
 """Times what the best sum leaves that others may leave to be proposed."""
 PLACES = 41
 """Places on a line that are tried at first."""
+SERIES = 12.0
+"""Nats against a series that may stand for a force of any form: forms of textbooks cost their inner
+numbers, which coefficients of a series do not have."""
 SEPARATE = 0.02
 """Part of a term that must lie beside the law, and beside a wave, to count as its own."""
 LOWEST = -8.0
@@ -225,7 +229,8 @@ def _proposal(view, library, own, amounts, gain, wave, more=()):
     """A sum of formulas as a proposal, with further constants in them and where these begin."""
     law, terms, starts, news = view.fit.law, [], {}, {}
     known = dict(zip(library.formulas, library.news.tolist(), strict=True))
-    odd_nats = 0.0
+    # It is one of all sums of so many terms.
+    odd_nats = math.log(math.comb(len(library.formulas), len(own)))
     for formula, amount in zip(own, amounts, strict=False):
         name = fresh_name(law, "c")
         term = Term(Call("mul", Constant(name), formula), "field")
@@ -244,12 +249,14 @@ def _proposal(view, library, own, amounts, gain, wave, more=()):
         starts |= dict(zip(wave.names, (*amounts[-3:-1], wave.rate), strict=True))
         bounds = {wave.names[-1]: wave.bounds}
         formulas += [term.formula for term in wave.part.law.terms]
-    return Proposal(
+    proposal = Proposal(
         "law", " + ".join(map(to_text, formulas)), hypothesis,
         -view.criteria.cause_nats * n_causes - odd_nats, gain, len(amounts) + len(ranges),
         starts=starts, bounds=bounds, formulas=tuple(formulas), n_dims=view.dataset.n_dims,
         is_wide=True, news=news,
     )  # fmt: skip
+    dearer = SERIES if proposal.is_series else 0.0
+    return replace(proposal, log_prior=proposal.log_prior - dearer)
 
 
 def drags(view, axes):
