@@ -104,7 +104,8 @@ def test_a_thrust_that_few_rows_show_hides_no_drag():
     )
     # The thrust is left out, or told as a push that ends.
     name, found = report.rounds[0].effect.name, {c.name: c for c in report.constants}
-    drag = re.search(r"(c\d) \* \((?:norm\(v_i\)\^2 \* normalize\(v_i\)|norm\(v_i\) \* v_i)\)", name)
+    forms = r"norm\(v_i\)\^2 \* normalize\(v_i\)|norm\(v_i\) \* v_i"
+    drag = re.search(rf"(c\d) \* \((?:{forms})\)", name)
     assert found[drag[1]].value == pytest.approx(-0.02, abs=0.002)
 
 
