@@ -164,7 +164,8 @@ def _inner_phrase(direction, formula, powers, value=None):
     point = "round a point (a vortex)" if text.startswith("perp(") else "to a point"
     way = bare[2:] if bare.startswith("e_") else f"the {_DIRECTIONS.get(bare, bare)}"
     along = point if is_place else f"along {way}"
-    if text in ("v_i", "normalize(v_i)") and not set(powers) - {"norm(v_i)"}:
+    is_plain = not (set(powers) - {"norm(v_i)"} or any("fitted power" in word for word in words))
+    if text in ("v_i", "normalize(v_i)") and is_plain:
         total = powers.get("norm(v_i)", 0) + (text == "v_i")
         kind = "drag" if total else "friction"
         kind = "forward push" if value is not None and value > 0 else kind
