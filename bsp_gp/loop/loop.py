@@ -603,9 +603,7 @@ class _Turn:
             if simpler.key in {r.key for r in self.rows if r.is_fit} or self.note_time("fits"):
                 continue
             self.run.says(f"fit of a limit: {simpler.text}")
-            shared = found, self.run.dataset, self.run.criteria, self.run.bounds, self.run.clock
-            new = _fit_of(shared, (row.source, simpler))
-            self._fitted(row.source, replace(simpler, after=proposal), new)
+            self._fit_after(row, simpler)
 
     def _prune(self):
         """Leave terms out of the likeliest sum of laws while that makes it likelier.
@@ -629,7 +627,6 @@ class _Turn:
             if proposal.judged is not None or len(proposal.formulas) < 2:
                 return
             smaller = _without_weakest(proposal, found, self.run.criteria)
-            smaller = smaller and replace(smaller, after=None)
             if smaller is None or smaller.key in {r.key for r in self.rows if r.is_fit}:
                 return
             same = (p for f in self.families for p in f.proposals if p.rank == smaller.rank)
@@ -637,9 +634,7 @@ class _Turn:
             if twin is not None:  # it was proposed itself: that is what it costs
                 smaller = replace(smaller, log_prior=twin.log_prior, ties=twin.ties)
             self.run.says(f"fit without the weakest term: {smaller.text}")
-            shared = found, self.run.dataset, self.run.criteria, self.run.bounds, self.run.clock
-            new = _fit_of(shared, (row.source, smaller))
-            new = self._fitted(row.source, replace(smaller, after=proposal), new)
+            new = self._fit_after(row, smaller)
             ids.add(new.id)
             if not (new.is_fit and new.log_posterior > row.log_posterior):
                 return
@@ -851,6 +846,12 @@ class _Turn:
             _fit_of, self._shared, queue, lambda job: not self._is_behind(job[1], both)
         )
 
+    def _fit_after(self, row, proposal):
+        """The row of a proposal whose fit begins at that of another row."""
+        shared = self.fits[row.id], *self._shared[1:]
+        found = _fit_of(shared, (row.source, proposal))
+        return self._fitted(row.source, replace(proposal, after=self.proposals[row.id]), found)
+
     def _fitted(self, source, proposal, found):
         """Add the row of a proposal that was fitted."""
         if found is None:
@@ -1031,7 +1032,7 @@ def _without_weakest(proposal, found, criteria):
         starts={name: value for name, value in known if isinstance(value, float)},
         bounds=hypothesis.own(proposal.bounds), formulas=formulas, ties=(),
         rank=proposal.rank - 1, log_prior=min(proposal.log_prior + criteria.cause_nats, 0.0),
-        patience=1,
+        patience=1, after=None,
     )  # fmt: skip
 
 

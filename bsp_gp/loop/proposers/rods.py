@@ -95,7 +95,7 @@ class Rods:
         tracks = _tracks(view.dataset)
         names = dict.fromkeys(s.names[k] for s in view.dataset.scenes for k in s.dynamic)
         free = [name for name in names if name in tracks and name not in held]
-        found = [kept for name in free for kept in _alone(name, tracks[name])]
+        found = [_alone(name, tracks[name]) for name in free]
         others = free if len(free) <= MOST_BODIES else []
         still = [name for name in tracks if name not in names]
         found += [
@@ -123,11 +123,11 @@ def _tracks(dataset):
 
 
 def _alone(name, tracks):
-    """The line along which, or the point about which and the curve along which a body moves."""
+    """The line or curve along which, or the point about which a body moves; or None."""
     places = np.concatenate(list(tracks.values()))
     seen = np.isfinite(places).all(axis=1)
     if seen.sum() < LEAST_ROWS:
-        return []
+        return None
     middle = places[seen].mean(axis=0)
     axes = np.linalg.svd(places[seen] - middle, full_matrices=False)[2]
     line = {key: (p - middle) @ axes[-1] for key, p in tracks.items()}
@@ -136,21 +136,19 @@ def _alone(name, tracks):
         names = "xyz"[: len(middle)]
         text = " + ".join(f"{axes[-1][k]:.6g} * {x}_i" for k, x in enumerate(names)) + " = {0}"
         values = (float(middle @ axes[-1]),)
-        return [_Kept("wire", text, (name, ""), ("b",), values, level, normal=tuple(axes[-1]))]
+        return _Kept("wire", text, (name, ""), ("b",), values, level, normal=tuple(axes[-1]))
     curve = _along_a_curve(name, tracks) if len(middle) == 2 else None
     centre, radius = _sphere(places[seen])
     spread, level = deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
     if bend < BENT * level or not _is_constant(spread, level, places[seen]):
-        return [curve] if curve is not None and bend > BENT * level else []
+        return curve if bend > BENT * level else None
     stems = tuple(f"pivot_{axis}" for axis in "xyz"[: len(centre)])
     point = ", ".join(f"{{{k}}}" for k in range(len(centre)))
     text = f"norm(p_i - ({point})) = {{{len(centre)}}}"
     values = (*centre.tolist(), radius)
     rod = _Kept("rod", text, (name, ""), (*stems, "L"), values, level, _is_uneven(tracks),
                 way=tuple((middle - centre).tolist()))  # fmt: skip
-    if curve is None:
-        return [rod]
-    return [curve if curve.spread < spread else rod]
+    return curve if curve is not None and curve.spread < spread else rod
 
 
 def _along_a_curve(name, tracks):
@@ -242,11 +240,11 @@ def _proposal(view, kept, every, n_tried):
     """The constraint beside the law; None where the law leaves nothing that it could explain."""
     fit = view.fit
     names = [fresh_name(fit.law, stem) for stem in kept.stems]
-    levels = np.array(fit.noise.levels)
-    if not np.isfinite(levels).all():  # nothing moves along some axis: that needs no wire
+    # Where nothing moves along some axis, that needs no wire.
+    if not np.isfinite(np.array(fit.noise.levels)).all():
         return None
     level = max(kept.level * _unseen(fit.noise, view.step), float(np.max(fit.noise.lowest)))
-    gain, n_rows = _misfit(fit, kept, levels, level)
+    gain, n_rows = _misfit(fit, kept, level)
     if gain < (MISFIT - 1) * n_rows:
         return None
     try:
@@ -302,7 +300,7 @@ def _unseen(noise, step):
     return math.sqrt(20 / (20 + lags @ [-30, 12, -2]))  # third differences
 
 
-def _misfit(fit, kept, levels, level):
+def _misfit(fit, kept, level):
     """Chi-squared that the constraint may take away, in errors of its own, and of how many rows.
 
     Of the bodies that it holds alone. One that moves along a line is no body on a wire, unless the
