@@ -34,8 +34,8 @@ def read_dataset(args):
                 f"got {len(args.noise)}"
             )
         length = unit_of_length(dataset)
-        if dataset.is_summed:  # of velocities: what they add to places in a step
-            length *= dataset.typical_step
+        if dataset.is_summed:  # of what is added up: what that adds to places in a step
+            length *= dataset.typical_step**dataset.n_sums
         dataset = declare_noise(dataset, [sigma * length for sigma in args.noise])
     return dataset
 

@@ -29,6 +29,7 @@ from bsp_gp.data.roster import (
     vector_stems,
 )
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Entity, FirstState, Scene
+from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
 
@@ -255,7 +256,8 @@ def axes_of(table, declaration):
     angle = declaration.units.get("length", table.units.get(axes[0], ""))
     known = {*NUMBER_COLUMNS, *TEXT_COLUMNS, *WITHIN, *inputs_of(table, declaration)}
     # Who says which column is one of them would say which is the other.
-    is_whole = is_angle(angle) or axes[0] in declaration.columns
+    is_summed = declaration.velocity in (VELOCITIES, ACCELERATIONS)  # all that there is of them
+    is_whole = is_angle(angle) or axes[0] in declaration.columns or is_summed
     rest = [] if is_whole else [column for column in columns if column not in known]
     doubtful = [column for column in rest if _may_be_place(table, column, axes[0])]
     if doubtful:
@@ -299,27 +301,27 @@ def _may_be_place(table, column, axis):
 
 
 def _refuse_rates(table, declaration, axes):
-    """DataError where a table has what a telephone's sensors give in the place of positions."""
+    """DataError where what stands in the place of positions is what a telephone's sensors give."""
     theirs = {name: table.theirs.get(name, name) for name in map(str, table.frame.columns)}
     said = set(declaration.units)
     units = {} if "length" in said else {n: table.units.get(n, "") for n in set(theirs) - said}
     turns = re.compile(r"(?:rad|deg|°).*")  # a rate without an angle may be anything
-    for what, is_kind, is_named in (
-        ("accelerations", lambda text: unit_of(text) == ACCELERATION, is_acceleration),
-        ("angular velocities", lambda text: unit_of(text) == Unit.of(s=-1) and turns.match(text),
-         is_rate),
+    for what, letter, is_kind, is_named in (
+        ("accelerations", "a", lambda text: unit_of(text) == ACCELERATION, is_acceleration),
+        ("angular velocities", "v",
+         lambda text: unit_of(text) == Unit.of(s=-1) and turns.match(text), is_rate),
     ):  # fmt: skip
         of_unit = {name for name, text in units.items() if is_kind(text)}
         found = [column for column in table.present if is_named(column)]
         found = found or [theirs[name] for name in theirs if name in of_unit]
         if found and (not axes or of_unit & set(axes)):
             raise DataError(
-                f"the table has {what} ({', '.join(found[:3])}) and no positions; tracks of "
-                "positions are needed, and where a body starts, how fast, and how a sensor drifts "
-                f"do not follow from {what}", file=table.file,
-                remedy="record the motion from outside: a film, a motion sensor, or of a telephone "
-                "its distance (LiDAR, sonar) or location (GPS); or, if one of the columns is a "
-                "position, name it: --columns x=ITS_NAME",
+                f"the table has {what} ({', '.join(found[:3])}) and no positions",
+                file=table.file,
+                remedy=f'name one that is to be added up, --columns {letter}x="{found[0]}" (errors '
+                "add up as well: where you can, record the motion from outside, by a film, a "
+                "motion sensor, or of a telephone its distance (LiDAR, sonar) or location (GPS)); "
+                "or, if one of the columns is a position, name it: --columns x=ITS_NAME",
             )  # fmt: skip
 
 

@@ -24,6 +24,8 @@ TOP_KEYS = (
     "units", "axes", "columns", "initial", "latent", "sky", "split", "evaluation", "provenance",
 )  # fmt: skip
 SKY = ("distance", "parallax")
+SEEN = ("measured", "only", "unseen", "ignore")
+"""What velocities are, see `Dataset`."""
 FIRST_PLACES = ("exact", "measured")
 FIRST_VELOCITIES = ("exact", "measured", "rest", "unknown")
 PRIOR_FORMS = ("uniform:LOW:HIGH", "log-uniform:LOW:HIGH", "normal:MEAN:SD[:LOW:HIGH]",
@@ -115,7 +117,7 @@ class Declaration:
         if columns is not None:
             renames = reader.texts(columns, "columns")
             changes["velocity"] = reader.choice(
-                renames, "velocity", ("measured", "only", "ignore"), self.velocity
+                renames, "velocity", SEEN, self.velocity
             )
             renames.pop("velocity", None)
             ours = _our_keys(renames)
@@ -259,7 +261,7 @@ class _Reader:
         split = self.table("split", ("train", "test"))
         initial = self.table("initial", ("position", "velocity"))
         columns = self.texts(self.table("columns"), "columns")
-        velocity = self.choice(columns, "velocity", ("measured", "only", "ignore"), "ignore")
+        velocity = self.choice(columns, "velocity", SEEN, "ignore")
         columns.pop("velocity", None)
         top = {k: self.content[k] for k in ("name", *PROVENANCE_KEYS) if k in self.content}
         top = self.texts({k: _flat(v) for k, v in top.items()}, "top level")

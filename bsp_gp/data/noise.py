@@ -172,26 +172,31 @@ def finest_noise(data):
 
 
 def _step(data):
-    """Interval between rows of places that are sums of velocities; 0 where they are not."""
-    return data.typical_step if isinstance(data, Dataset) and data.is_summed else 0.0
+    """Interval between rows of places that are sums, and how often they were added up; or zeros."""
+    is_summed = isinstance(data, Dataset) and data.is_summed
+    return (data.typical_step, data.n_sums) if is_summed else (0.0, 0)
 
 
-def _tracks(scenes, axis, step=0.0):
+def _tracks(scenes, axis, summed=(0.0, 0)):
     """Times and positions of every dynamic entity, gaps left out; at least two points each.
 
-    With a step, what is added to the places from row to row.
+    Of sums, what is added to the places from row to row, or to the velocities times a step.
     """
-    found = []
+    found, (step, order) = [], summed
     for scene in scenes:
         for entity in scene.dynamic:
             x = scene.positions[:, entity, axis]
             known = np.isfinite(x)
-            if step and np.count_nonzero(known) > 2:
-                times, x = scene.times[known], x[known]
-                added = np.diff(x) * np.sqrt(step / np.diff(times))
-                found.append(((times[1:] + times[:-1]) / 2, added))
-            elif not step and np.count_nonzero(known) > 1:
-                found.append((scene.times[known], x[known]))
+            if np.count_nonzero(known) < 2 + order:
+                continue
+            times, x = scene.times[known], x[known]
+            gaps = np.diff(times)
+            if order == 1:
+                times, x = (times[1:] + times[:-1]) / 2, np.diff(x) * np.sqrt(step / gaps)
+            elif order == 2:
+                gained = np.diff(np.diff(x) / gaps)
+                times, x = times[1:-1], gained * step**2 / ((gaps[1:] + gaps[:-1]) / 2)
+            found.append((times, x))
     return found
 
 

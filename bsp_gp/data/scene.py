@@ -311,7 +311,8 @@ class Dataset:
         Declared correlation time of the position noise, s; 0 = white.
     velocity : str
         "measured" if the velocity columns are data in their own right, "only" if places are sums of
-        them (`bsp_gp.data.rates`), else "ignore".
+        them, "unseen" if both are sums of measured accelerations (`bsp_gp.data.summed`), else
+        "ignore".
     latents : tuple of LatentDeclaration
     evaluation : Evaluation
     provenance : mapping of str to str
@@ -406,8 +407,13 @@ class Dataset:
 
     @property
     def is_summed(self):
-        """Whether places are sums of measured velocities, so that errors add up."""
-        return self.velocity == "only"
+        """Whether places are sums of what was measured, so that errors add up."""
+        return self.n_sums > 0
+
+    @property
+    def n_sums(self):
+        """How often was added up what was measured: velocities once, accelerations twice."""
+        return {"only": 1, "unseen": 2}.get(self.velocity, 0)
 
     @cached_property
     def typical_step(self):

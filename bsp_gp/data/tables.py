@@ -39,7 +39,7 @@ from bsp_gp.data.polar import POLAR_ALIASES, from_polar
 from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.properties import LEFT_OUT, read_properties, with_properties
 from bsp_gp.data.property_columns import quoted, unread_masses, with_properties_by_words
-from bsp_gp.data.rates import ONLY, from_rates
+from bsp_gp.data.rates import from_rates
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
 from bsp_gp.data.several import joined, tables_of
@@ -380,7 +380,7 @@ def _assemble(table, roster, declaration, default_name):
         *split_note,
     ]
     has_velocity = {"vx", "vy", "vz"} & set(table.frame.columns)
-    is_used = declaration.velocity in ("measured", ONLY) or declaration.first_velocity != "unknown"
+    is_used = declaration.velocity != "ignore" or declaration.first_velocity != "unknown"
     if has_velocity and not is_used:
         notes.append(
             'velocity columns are not used; write [columns] velocity = "measured" if they were '

@@ -16,8 +16,11 @@ from bsp_gp.data.noise import estimate_noise, finest_noise
 from bsp_gp.fitting.whitening import Adding, whitener_of
 
 KNOWN = ("quoted", "declared")
-ANYWHERE = 100.0
-"""Extents of tracks by which places that were added up may begin elsewhere."""
+ANYWHERE = {1: 100.0, 2: 1.0}
+"""Extents of tracks by which places that were added up may begin elsewhere; of sums of sums the
+same is what they may go in one step, which is anything."""
+ADDED = {1: ("m/s", "velocities"), 2: ("m/s^2", "accelerations")}
+"""Unit and name of what is added up to places, by how often."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ class NoiseModel:
         Declared, white included.
     adding : Adding or None
         Of errors that add up from row to row, each by a level: of places that are sums of measured
-        velocities.
+        velocities, or sums of sums of accelerations.
     findings : tuple of NoiseFinding
         Which parts were asked for when it was estimated.
     """
@@ -114,8 +117,8 @@ class NoiseModel:
         if dataset.is_summed:
             places = np.concatenate([s.positions.reshape(-1, s.n_dims) for s in dataset.scenes])
             low, high = np.fmin.reduce(places), np.fmax.reduce(places)
-            begin = ANYWHERE * (float(np.nanmax(high - low)) or 1.0)
-            adding, memory = Adding(dataset.typical_step, begin), 0.0
+            begin = ANYWHERE[dataset.n_sums] * (float(np.nanmax(high - low)) or 1.0)
+            adding, memory = Adding(dataset.typical_step, begin, dataset.n_sums), 0.0
         sources = tuple(_source(dataset, axis) for axis in range(len(found.sigma)))
         return cls(
             levels=found.sigma,
@@ -236,11 +239,13 @@ class NoiseModel:
     def describe(self):
         """One line for people."""
         axes = zip("xyz", self.levels, self.sources, strict=False)
-        per, unit = (self.adding.step, "m/s") if self.adding else (1.0, "m")
+        per, unit, kind = 1.0, "m", ""
+        if self.adding:
+            per, (unit, kind) = self.adding.step**self.adding.order, ADDED[self.adding.order]
         said = [f"{axis} {size / per:.4g} {unit} ({how})" for axis, size, how in axes
                 if math.isfinite(size)]  # fmt: skip
         if self.adding:
-            said.append("of velocities, which add up to places")
+            said.append(f"of {kind}, which add up to places")
         for kind, factors in (("body", self.bodies), ("scene", self.scenes)):
             if factors:
                 listed = ", ".join(f"{name} {value:.3g}" for name, value in factors[:6])

@@ -73,9 +73,9 @@ def draw_noise(model, channels, count, rng):
 
 
 def _added(draws, channels, model):
-    """Errors (B, T, C) that add up from row to row, none in the first that is seen."""
+    """Errors (B, T, C) that add up from row to row, none in the first that are seen."""
     whitener = model.whitener(channels)
-    is_first = np.cumsum(whitener.seen, axis=0) == 1
+    is_first = np.cumsum(whitener.seen, axis=0) <= model.adding.order
     errors = whitener.colour(np.where(is_first, 0.0, draws))
     return np.where(whitener.seen, errors, np.nan)
 

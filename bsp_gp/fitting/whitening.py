@@ -129,15 +129,19 @@ class Adding:
     step : float, s
         Interval in which a level is added.
     begin : float, metres
-        Standard deviation of where a track begins.
+        Standard deviation of where a track begins; of sums of sums also of what is gone until its
+        second row.
+    order : int
+        1 = to places; 2 = to velocities, which add up to places.
     """
 
     step: float
     begin: float
+    order: int = 1
 
 
 class SummedWhitener(Whitener):
-    """Whitens errors that add up from row to row: of places that are sums of measured velocities.
+    """Whitens errors that add up from row to row: of places that are sums of what was measured.
 
     Parameters
     ----------
@@ -152,26 +156,45 @@ class SummedWhitener(Whitener):
         times = np.broadcast_to(np.asarray(times, dtype=float), self.seen.shape)
         rows = np.where(self.seen, np.arange(len(times))[:, None], -1)
         before = np.maximum.accumulate(rows, axis=0)
-        self._before = np.concatenate([np.full_like(before[:1], -1), before[:-1]])
-        earlier = np.take_along_axis(times, np.maximum(self._before, 0), axis=0)
-        gaps = np.where(self.seen & (self._before >= 0), times - earlier, adding.step)
-        self.spread = self.spread * np.sqrt(gaps / adding.step)
-        self.spread[self.seen & (self._before < 0)] = adding.begin
+        before = np.concatenate([np.full_like(before[:1], -1), before[:-1]])
+        self._before, self._order = np.maximum(before, 0), adding.order
+        self._has_before = self.seen & (before >= 0)
+        earlier = np.take_along_axis(times, self._before, axis=0)
+        self._gaps = np.where(self._has_before, times - earlier, adding.step)
+        is_second = self._has_before & ~np.take_along_axis(self._has_before, self._before, axis=0)
+        is_begin = ~self._has_before
+        if adding.order == 1:
+            self.spread = self.spread * np.sqrt(self._gaps / adding.step)
+        else:
+            widths = (self._gaps + np.take_along_axis(self._gaps, self._before, axis=0)) / 2
+            self.spread = self.spread * self._gaps * widths / adding.step**2
+            is_begin = is_begin | is_second
+        self.spread[self.seen & is_begin] = adding.begin
         if not np.all(self.spread > 0):
-            raise FitError("the noise of velocities must not be zero where a row is seen")
+            raise FitError("the noise of what is added up must not be zero where a row is seen")
         self._per_spread = np.where(self.seen, 1.0 / self.spread, 0.0)
 
     def innovations(self, errors):
-        errors = np.where(self.seen, errors, 0.0)
-        rows = np.broadcast_to(np.maximum(self._before, 0), errors.shape)
-        earlier = np.take_along_axis(errors, rows, axis=-2)
-        return np.where(self.seen & (self._before >= 0), errors - earlier, errors)
+        added = self._added(np.where(self.seen, errors, 0.0))
+        if self._order == 1:
+            return added
+        speed = np.where(self._has_before, added / self._gaps, 0.0)
+        return np.where(self._has_before, self._added(speed) * self._gaps, added)
+
+    def _added(self, values):
+        """What is added to values since the row before that is seen."""
+        rows = np.broadcast_to(self._before, values.shape)
+        earlier = np.take_along_axis(values, rows, axis=-2)
+        return np.where(self._has_before, values - earlier, values)
 
     def whiten(self, errors):
         return self.innovations(errors) * self._per_spread
 
     def colour(self, whitened):
         added = np.where(self.seen, whitened, 0.0) * self.spread
+        if self._order == 2:
+            speed = np.cumsum(np.where(self._has_before, added / self._gaps, 0.0), axis=-2)
+            added = np.where(self._has_before, speed * self._gaps, added)
         return np.where(self.seen, np.cumsum(added, axis=-2), 0.0)
 
 

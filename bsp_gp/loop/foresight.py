@@ -172,7 +172,7 @@ def that_foresee(rounds, foresight):
             rounds = [*rounds[:k], _refused(done, "predictions_worse")]
             break
         helps.append(foresight.helps(done, last))
-    if rounds[-1].decision.verdict == "nothing missing":
+    if rounds[-1].decision.verdict in ("nothing missing", "the noise is not as assumed"):
         return list(rounds)
     return _that_help(rounds, helps)
 

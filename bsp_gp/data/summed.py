@@ -1,0 +1,339 @@
+"""Places that are sums of measured velocities, or sums of sums of measured accelerations.
+
+Every row stands for the time up to the middles between it and its neighbours. What is gone in that
+time is added to the place, what is gained in it to the velocity, and errors add up so. Where a
+track lies is not known, and its middle counts as 0; of accelerations how fast it begins is not
+known either.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from scipy import ndimage, sparse
+from scipy.interpolate import CubicSpline
+from scipy.sparse.linalg import spsolve
+
+from bsp_gp.data.point_errors import gross_errors
+from bsp_gp.data.roster import fail_at, numbers_of
+from bsp_gp.errors import DataError
+
+VELOCITIES, ACCELERATIONS = "only", "unseen"
+"""``[columns] velocity``: places are sums of velocities that alone were measured; these are sums
+themselves, of measured accelerations."""
+WHAT = {VELOCITIES: ("velocity", "velocities"), ACCELERATIONS: ("acceleration", "accelerations")}
+GAP = 3.5
+"""Typical steps of a gap behind which a track begins anew: what is gone in it is not known."""
+NEIGHBOURS = 15
+"""Steps among which the usual one is told."""
+CURVED = 0.1
+"""Part of the error of a row up to which its value is taken as the mean over its time."""
+LEAST_ROWS, LISTED = 4, 5
+SWINGS = 3
+"""Periods of the strongest wave of accelerations in a track that is bound to its middle."""
+SLOWER = 10.0
+"""Times as slow as that wave, what is taken as drift there: its accelerations are off by a part of
+1e-4, places by what errors add up to within so many periods."""
+QUIET, LEAST_STILL = 4.0, 10
+"""Standard deviations of the noise up to which values are those at rest, and rows of a rest."""
+GRAVITY, ZERO = 9.81, 0.3
+"""What an accelerometer shows at rest, and what its zero may be off by, m/s^2."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What of a table is added up to places.
+
+    Attributes
+    ----------
+    columns : mapping of str to str
+        Axis -> column.
+    velocity : str
+        `VELOCITIES` or `ACCELERATIONS`.
+    scale : float
+        Place per value and time (or squared time) in numbers.
+    units : mapping of str to str
+        Units of the places, by axis; empty = not known.
+    headings : tuple of str
+        Of the columns in the file.
+    """
+
+    columns: Mapping[str, str]
+    velocity: str
+    scale: float
+    units: Mapping[str, str]
+    headings: tuple[str, ...]
+
+    @property
+    def order(self):
+        """How often values are added up."""
+        return 1 if self.velocity == VELOCITIES else 2
+
+
+def summed(table, declaration, rates):
+    """The table with places, row by row of its tracks, and its declaration.
+
+    Parameters
+    ----------
+    table : Table
+    declaration : Declaration
+    rates : Rates
+
+    Raises
+    ------
+    DataError
+        Times are lost or do not increase; no track has four values.
+    """
+    found, (one, many) = rates.columns, WHAT[rates.velocity]
+    times = numbers_of(table, "t") if "t" in table.frame else _of_frames(table, declaration)
+    lost = np.isnan(times)
+    if lost.any():
+        fail_at(table, "empty cell or NaN where a time is needed", int(lost.argmax()), "t")
+    values = np.stack([numbers_of(table, name) for name in found.values()], axis=1)
+    keys = [name for name in ("scene", "entity") if name in table.frame]
+    groups = table.frame.groupby(keys, sort=False, dropna=False).indices if keys else {
+        "": np.arange(len(times))
+    }  # fmt: skip
+    pieces, far, good = [], [], np.isfinite(values).all(axis=1)
+    for rows in groups.values():
+        rows = rows[good[rows]]
+        back = np.flatnonzero(np.diff(times[rows]) <= 0)
+        if len(back):
+            problem = f"times must increase from {one} to {one} of a body"
+            fail_at(table, problem, int(rows[back[0] + 1]), "t", "sort the rows; keep one per time")
+        if rates.order == 1:  # what hits a body is seen in accelerations, and is no error
+            is_far = _are_far(times[rows], values[rows])
+            far += table.frame.index[rows[is_far]].tolist()
+            good[rows[is_far]] = False
+    good &= _are_common(table, times, good)
+    for rows in groups.values():
+        parts = _parts(times, rows[good[rows]])
+        pieces.append([part for part in parts if len(part) >= LEAST_ROWS])
+    gone = [str(name) for name, parts in zip(groups, pieces, strict=True) if not parts]
+    if not any(pieces):
+        raise DataError(
+            f"there are no places, and no track has four {many}", file=table.file,
+            column=next(iter(found.values())),
+        )  # fmt: skip
+    frames = [
+        _track(table, times[part], values[part], part, rates)
+        .assign(**_named(table, part, k, len(parts)))
+        for parts in pieces for k, part in enumerate(parts, 1)
+    ]  # fmt: skip
+    frame = pd.concat(frames)
+    used = len(np.concatenate([part for parts in pieces for part in parts])) + len(far)
+    notes = [_told(rates, used < len(times), max(map(len, pieces)) > 1)]
+    if gone:
+        notes.append(f"tracks with fewer than {LEAST_ROWS} {many} are left out: "
+                     + ", ".join(gone[:LISTED]))  # fmt: skip
+    if far:
+        listed = ", ".join(map(str, far[:LISTED])) + (" ..." if len(far) > LISTED else "")
+        notes.append(f"{many} far off their neighbours are left out: {len(far)}, in line {listed}")
+    theirs = {**table.theirs, **dict(zip(found, rates.headings, strict=True))}
+    unused = {k: v for k, v in table.unused.items() if k not in found.values()}
+    units = {name: unit for name, unit in table.units.items() if name not in found.values()}
+    units |= rates.units
+    if "t" not in table.frame and declaration.fps:
+        units["t"] = "s"
+    table = replace(
+        table, frame=frame, units=units, theirs=theirs, unused=unused,
+        untimed="", notes=(*table.notes, *notes),
+    )  # fmt: skip
+    said = {name: unit for name, unit in declaration.units.items() if name not in found.values()}
+    noise = _noise(declaration, times, rates)
+    return table, replace(declaration, velocity=rates.velocity, noise=noise, units=said)
+
+
+def _told(rates, is_short, is_split):
+    listed = ", ".join(repr(text) for text in rates.headings)
+    one, many = WHAT[rates.velocity]
+    start = "" if rates.order == 1 else (
+        "; how fast a body begins is not known either, and of what swings all that is "
+        f"{SLOWER:g} times as slow is taken as drift of the sensor"
+    )  # fmt: skip
+    return (
+        f"places are sums of {many} ({listed}): errors add up from row to row, and where a "
+        f"track lies is not known; its middle counts as 0{start}"
+        + (f"; rows without a {one}, or of pieces that are too short, are left out"
+           if is_short else "")
+        + ("; behind a gap a track begins anew, as a scene of its own" if is_split else "")
+    )  # fmt: skip
+
+
+def _of_frames(table, declaration):
+    """Times of a file that counts frames, s."""
+    frames = numbers_of(table, "frame")
+    return frames / declaration.fps if declaration.fps else frames * (declaration.dt or np.nan)
+
+
+def _are_common(table, times, good):
+    """Rows at times at which all bodies of their scene have a value: they share the times."""
+    if "entity" not in table.frame:
+        return np.ones(len(times), dtype=bool)
+    scene = table.frame["scene"] if "scene" in table.frame else pd.Series("", table.frame.index)
+    known = pd.DataFrame({
+        "scene": scene.to_numpy(), "t": times, "entity": table.frame["entity"].to_numpy(),
+    })  # fmt: skip
+    wanted = known.groupby("scene", dropna=False)["entity"].transform("nunique").to_numpy()
+    there = known.assign(good=good).groupby(["scene", "t"], dropna=False)["good"].transform("sum")
+    return there.to_numpy() == wanted
+
+
+def _are_far(times, values):
+    """Rows (n,) whose values (n, d) are far off their neighbours: places would jump there."""
+    return gross_errors(times, values, _roughness(values)) > 1
+
+
+def _roughness(values):
+    """Standard deviation of the noise of values (n, ...) by their fourth differences."""
+    rough = np.diff(values, 4, axis=0)
+    if not len(rough):
+        return np.zeros(values.shape[1:])
+    return 1.4826 * np.median(np.abs(rough), axis=0) / np.sqrt(70)
+
+
+def _parts(times, rows):
+    """Rows of a track up to its gaps: steps that grow as a wheel slows down are none."""
+    steps = np.diff(times[rows])
+    if not len(steps) or not np.median(steps) > 0:  # told where times are checked
+        return [rows]
+    usual = np.maximum(ndimage.median_filter(steps, NEIGHBOURS, mode="nearest"), np.median(steps))
+    return np.split(rows, np.flatnonzero(steps > GAP * usual) + 1)
+
+
+def _track(table, times, values, rows, rates):
+    """Rows that those of values lie between, or beside, with the places there."""
+    sums = _sums_of_velocities if rates.order == 1 else _sums_of_accelerations
+    ends, places = sums(times, values)
+    places = places - places.mean(axis=0)  # what swings does so about its middle
+    after = np.concatenate([rows, np.repeat(rows[-1:], rates.order)])
+    columns = rates.columns
+    frame = table.frame.iloc[after].drop(columns=[*columns.values(), "frame"], errors="ignore")
+    out = {"t": ends} | {a: rates.scale * places[:, k] for k, a in enumerate(columns)}
+    for axis in columns:
+        if rates.order == 1 and f"sv{axis}" in frame:
+            error, width = numbers_of(table, f"sv{axis}")[rows], np.diff(ends)
+            # As of a typical step: whatever adds them up reckons with the time of each.
+            error = rates.scale * error * np.sqrt(width * np.median(width))
+            out[f"s{axis}"] = np.append(error[:1], error)
+            frame = frame.drop(columns=f"sv{axis}")
+    for name in frame.columns.difference([*out, "scene", "entity"]):
+        if pd.api.types.is_numeric_dtype(frame[name]):
+            inner = frame[name].to_numpy(dtype=float)[: len(times)]
+            out[name] = np.interp(ends, times, inner)
+    return frame.assign(**out)
+
+
+def _sums_of_velocities(times, values):
+    """Times between those of values (n, d) and beyond, (n + 1,), and places there, (n + 1, d)."""
+    steps = np.diff(times)
+    ends = np.concatenate([
+        [times[0] - steps[0] / 2], (times[1:] + times[:-1]) / 2, [times[-1] + steps[-1] / 2]
+    ])  # fmt: skip
+    gone = np.diff(_whole(times, values)(ends), axis=0) if _is_bent(times, values) else (
+        values * np.diff(ends)[:, None]
+    )  # fmt: skip
+    return ends, np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(gone, axis=0)])
+
+
+def _sums_of_accelerations(times, values):
+    """Times of values (n, d) and one beyond either end, (n + 2,), and places there, (n + 2, d).
+
+    What swings stays about its middle: the places are those next to it of all whose second
+    differences are as measured, in the least squares of what is left of both (Tikhonov), which
+    keeps out what drifts. What does not is at rest before it is moved, or comes to rest.
+    """
+    steps = np.diff(times)
+    ends = np.concatenate([[times[0] - steps[0]], times, [times[-1] + steps[-1]]])
+    gaps, rate = np.diff(ends), _swing(times, values)
+    widths = (gaps[1:] + gaps[:-1]) / 2
+    (first, last), level = ((0, 0), 0.0) if rate else _at_rest(values)
+    values = values - level
+    gained = values * widths[:, None]
+    if _is_bent(times, values):  # the mean over the times between, weighed as what they add is
+        gained = np.diff(np.diff(_whole(times, values, 2)(ends), axis=0) / gaps[:, None], axis=0)
+    if rate:
+        return ends, _bound(gaps, gained, widths, rate / SLOWER)
+    speed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(gained, axis=0)])
+    if last > first:
+        speed -= speed[-1]
+    places = np.cumsum(speed * gaps[:, None], axis=0)
+    return ends, np.concatenate([np.zeros((1, values.shape[1])), places])
+
+
+def _at_rest(values):
+    """How many of the first and last values (n, d) are at rest; what a sensor shows there, (d,).
+
+    A sensor shows gravity, or what its zero is off by; all else at an end is a push.
+    """
+    noise = _roughness(values)
+    spans = []
+    for own in (values, values[::-1]):
+        level = np.median(own[:LEAST_STILL], axis=0)
+        off = np.abs(np.linalg.norm(level) - np.array([0.0, GRAVITY]))
+        is_same = (np.abs(own - level) <= QUIET * noise).all(axis=1)
+        count = len(own) if is_same.all() else int(is_same.argmin())
+        is_rest = LEAST_STILL <= count < len(own) and off.min() <= ZERO
+        spans.append(count if is_rest else 0)
+    first, last = spans
+    still = np.concatenate([values[:first], values[len(values) - last :]])
+    return spans, still.mean(axis=0) if len(still) else np.zeros(values.shape[1])
+
+
+def _swing(times, values):
+    """Angular rate of the strongest wave of values (n, d), 1/s; 0.0 where it is no swing's."""
+    even = np.linspace(times[0], times[-1], len(times))
+    axis = int(np.argmax(values.var(axis=0)))
+    wave = np.interp(even, times, values[:, axis])
+    power = np.abs(np.fft.rfft((wave - wave.mean()) * np.hanning(len(wave))))
+    peak = int(np.argmax(power))
+    return 2 * np.pi * peak / (times[-1] - times[0]) if peak >= SWINGS else 0.0
+
+
+def _bound(gaps, gained, widths, rate):
+    """Places (n + 2, d) that gain velocities (n, d) at their rows and keep to their middle.
+
+    What a sensor shows at rest is unknown too, and left out.
+    """
+    n = len(gained)
+    slope = sparse.diags([-1 / gaps, 1 / gaps], [0, 1], shape=(n + 1, n + 2))
+    bend = sparse.diags([-1.0, 1.0], [0, 1], shape=(n, n + 1)) @ slope
+    bend = sparse.hstack([bend, widths[:, None]])
+    weigh = sparse.diags(1 / widths)
+    ties = sparse.diags(rate**4 * np.concatenate([[gaps[0]], widths, [gaps[-1], 0.0]]))
+    normal = (bend.T @ weigh @ bend + ties).tocsc()
+    return spsolve(normal, bend.T @ weigh @ gained).reshape(n + 3, -1)[:-1]
+
+
+def _whole(times, values, order=1):
+    """The integral of values over time, `order` times over."""
+    return CubicSpline(times, values).antiderivative(order)
+
+
+def _is_bent(times, values):
+    """Whether values mostly bend between their rows by what counts beside their noise."""
+    steps = np.diff(times)
+    if np.ptp(steps) > 0.02 * np.median(steps):
+        return True
+    bend, noise = np.diff(values, 2, axis=0), _roughness(values)
+    beyond = np.square(1.4826 * np.median(np.abs(bend), axis=0)) - 6 * noise**2  # not of a hit
+    return bool(np.any(np.sqrt(np.maximum(beyond, 0.0)) / 24 > CURVED * noise))
+
+
+def _named(table, rows, number, count):
+    """Of a track that was split, a scene of its own for every piece."""
+    if count == 1:
+        return {}
+    scene = table.frame["scene"].iloc[rows[0]] if "scene" in table.frame else "part"
+    return {"scene": f"{scene} {number}"}
+
+
+def _noise(declaration, times, rates):
+    """Declared errors of values as those of what is added in a step."""
+    noise, steps = declaration.noise, np.diff(times)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    step = rates.scale * step**rates.order
+    if isinstance(noise, Mapping):
+        return {body: tuple(step * x for x in np.atleast_1d(own)) for body, own in noise.items()}
+    return noise and tuple(step * level for level in np.atleast_1d(noise))
