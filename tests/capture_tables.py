@@ -19,6 +19,7 @@ from tests.logger_tables import (
     T,
     one,
     table,
+    twice,
 )
 
 COUNT = [str(k + 1) for k in range(8)]
@@ -90,7 +91,8 @@ CAPTURES = {
     ).encode(), one(x=SPRING)),
     "science journal": Sample("exp.csv", table(
         "relative_time,AccX,AccY,AccZ", [str(50 * k) for k in range(8)], ACROSS, FALL, SPRING,
-    ).encode(), refused=("acceleration", "--columns x=")),
+    ).encode(), twice(ACROSS, FALL), options={"units": {"length": "m", "time": "ms"}},
+        told=("sums of accelerations",)),
     "julian dates": Sample("orbit.csv", table(
         "JD,X (au),Y (au)", [f"{2460000.5 + k}" for k in range(8)], ACROSS, FALL,
     ).encode(), {(None, OBJECT): (86400 * (2460000.5 + np.arange(8.0)), AU * ACROSS, AU * FALL)}),

@@ -554,8 +554,11 @@ def _with_bodies(found):
             axes.setdefault(h.owner, set()).add(h.name)
     kinds = {frozenset(has) for has in axes.values()}
     is_numbered = all(body.isdecimal() for _, body in axes)
-    # x1, x2 alone may be two bodies on a line, or the two coordinates of one.
-    if len(kinds) != 1 or (len(*kinds) == 1 and (is_numbered or len(axes) < 2)):
+    # x1, x2 alone may be two bodies on a line or the two coordinates of one: y1, y2 are bodies, and
+    # so are those with units, as measuring programs write them.
+    has_units = any(h.unit for h in out if h.body)
+    is_doubtful = is_numbered and kinds == {frozenset("x")} and not has_units
+    if len(kinds) != 1 or (len(*kinds) == 1 and (is_doubtful or len(axes) < 2)):
         # ``Light spot x / mm``: what is alone, with the unit of a place, is no body beside others.
         lone = len(axes) == 1 and not is_numbered
         return [

@@ -125,8 +125,10 @@ def _accelerations(table, declaration):
     rest = [name for name in columns if name in table.unused]
     if any(_is(units[n], _LENGTH) or _is(units[n], _SPEED) for n in rest):
         return {}  # they say more
-    found = [n for n in rest if is_acceleration(theirs[n]) or _is(units[n], ACCELERATION)]
-    found = [n for n in found if not units[n] or _is(units[n], ACCELERATION)]
+    found = [n for n in rest if _is(units[n], ACCELERATION)] or [
+        n for n in rest  # `A_x` without a unit may be a place of A
+        if is_acceleration(theirs[n]) and not units[n] and not theirs[n].startswith("A_")
+    ]  # fmt: skip
     parts = [name for name in found if not _words(theirs[name]) & _WHOLE] or found
     axes = [_axis_in(theirs[name]) for name in parts]
     lone = _lone(table, parts)

@@ -122,8 +122,10 @@ def models_of(tracks, noise=None, near=0.0):
 def _models_of(problem, near):
     found = []
     for kicks, drag, trap in product((True, False), repeat=3):
-        terms = {n for n, has in (("kicks", kicks), ("drag", drag), ("trap", trap)) if has}
-        found.append(problem.fit(frozenset(terms), False))
+        terms = frozenset(n for n, has in (("kicks", kicks), ("drag", drag), ("trap", trap)) if has)
+        # What swings on undisturbed is followed from near its rates alone: kicks lead to them.
+        beside = next((m for m in found if m.terms == terms | {"kicks"}), None)
+        found.append(problem.fit(terms, False, beside=beside))
     for trap in (True, False):
         terms = frozenset({"kicks", "drag"} | ({"trap"} if trap else set()))
         found.append(problem.fit(terms, True))
@@ -181,16 +183,18 @@ class _Problem:
         other = self.fit(found.terms, False, has_memory=True)
         return other.log_likelihood - found.log_likelihood
 
-    def fit(self, terms, is_overdamped, is_blurred=False, has_memory=False):
-        """A model with the parameters that do best."""
+    def fit(self, terms, is_overdamped, is_blurred=False, has_memory=False, beside=None):
+        """A model with the parameters that do best; it is tried from those of another, too."""
         names = [n for n, has in (
             ("drag", "drag" in terms and not is_overdamped), ("trap", "trap" in terms),
             ("kicks", "kicks" in terms), ("noise", self.noise is None), ("exposure", is_blurred),
             ("memory", has_memory),
         ) if has]  # fmt: skip
         bounds = [self._bounds(name) for name in names]
-        best = None
-        for start in self._starts(names, terms, is_overdamped):
+        best, starts = None, self._starts(names, terms, is_overdamped)
+        if beside is not None and names:
+            starts.append(self._as_start(names, beside))
+        for start in starts:
             start = np.clip(start, *np.transpose(bounds)) if names else start
             height = lambda x: -self.height(dict(zip(names, x, strict=True)), terms,  # noqa: E731
                                             is_overdamped)[0]  # fmt: skip
@@ -233,6 +237,16 @@ class _Problem:
                       "exposure": LONGEST / 2, "memory": 10.0}  # fmt: skip
             out.append(np.log([values[name] for name in names]))
         return out
+
+    def _as_start(self, names, found):
+        """Logarithms of a model with inertia to begin another with."""
+        values = {name: value for name, (value, *_) in found.values.items()}
+        own = {
+            "drag": values.get("drag_rate", 0.0) * self.step,
+            "trap": values.get("trap_rate", 0.0) * self.step**2,
+            "noise": values.get("noise", 0.0) / self.size,
+        }  # fmt: skip
+        return np.log([max(own[name], 1e-300) for name in names])
 
     def height(self, at, terms, is_overdamped):
         """Log-likelihood, and offsets with their variances, of logarithms of parameters.

@@ -103,8 +103,9 @@ _WHOLE = (
     (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
     (r"^(?:exp\(-|\().*\(([xyz])_i - \w+\).* \* \(\1_i - \w+\) \* e_\1$",
      "force along {0} about a place, gone a length away (a dip or a bump)"),
-    (r"^(?:0\.5 \* )?\(1 [-+] sign\(([xyz])_i - \w+\)\) \* \(\w+ - \1_i\) \* e_\1$",
-     "spring along {0} on one side of a place (a bumper)"),
+    (r"^(?:0\.5 \* )?\(1 [-+] sign\(([xyz])_i - \w+\)\)"
+     r" \* \(*(?:\w+ - \1_i|\1_i - \w+)\) \* e_\1\)?$",
+     "spring along {0} on one side of a place (a bumper, a rubber band)"),
     (r"^(?:0\.5 \* )?\(\(1 - sign\(([xyz])_i - \w+\)\) .*\(1 \+ sign\(\1_i - \w+\)\) .*\) \* e_\1$",
      "springs along {0} at both ends (bumpers)"),
     (r"^\(1 - \(\([xyz]_i - .*\^2\) \* v_i$",

@@ -234,3 +234,15 @@ def test_a_force_that_goes_on_is_no_kick(lasts, are_kicks):
     places = np.cumsum(speeds * 0.1, axis=0) + 2e-3 * rng.standard_normal((400, 2))
     best = models_of([Track(0.1 * np.arange(400), places)], near=1.0)[0]
     assert "kicks" in best.terms and best.are_kicks is are_kicks
+
+
+def test_what_swings_undisturbed_is_not_kicked():
+    """Its rates alone were looked for too far off, and kicks of no size stood in their place."""
+    rng, times = np.random.default_rng(0), np.arange(500) / 20
+    rate = -0.03 + 1j * np.sqrt(5.3 - 0.03**2)
+    swing = np.exp(rate * times)
+    places = np.stack([(0.2 * swing).real, (0.13j * swing).real], axis=1)
+    best = models_of([Track(times, places + 0.001 * rng.standard_normal(places.shape))])[0]
+    assert best.terms == {"drag", "trap"}
+    assert best.values["trap_rate"][0] == pytest.approx(5.3, rel=1e-3)
+    assert best.values["drag_rate"][0] == pytest.approx(0.06, rel=0.05)

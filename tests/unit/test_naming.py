@@ -245,7 +245,7 @@ CENTRE = "(origin + centre_x1 * e_x + centre_y1 * e_y - p_i)"
          "drag that changes its sign a distance away from a place (self-excited, van der Pol)"),
         ("c1 * 0.5 * (1 - sign(dot(p_i - origin, e_x) - h_x1)) * "
          "(h_x1 - dot(p_i - origin, e_x)) * e_x",
-         "spring along x on one side of a place (a bumper)"),
+         "spring along x on one side of a place (a bumper, a rubber band)"),
         ("c1 * 0.5 * ((1 - sign(dot(p_i - origin, e_x) - h_x1)) * "
          "(h_x1 - dot(p_i - origin, e_x)) + "
          "(1 + sign(dot(p_i - origin, e_x) - H_x1)) * (H_x1 - dot(p_i - origin, e_x))) * e_x",

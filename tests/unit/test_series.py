@@ -134,3 +134,17 @@ def test_a_well_with_two_bottoms_is_told_by_its_powers():
     assert report.verdict == "effect adopted"
     assert "x_i^3" in report.law_text
     assert "v_i" in report.law_text
+
+
+@pytest.mark.slow
+def test_a_weight_on_a_rubber_band_falls_freely_above_its_end():
+    """Told as a dip and a sine, and an effective law: what pulls below a place alone."""
+    hung = driven(
+        lambda t, s: [s[1], -9.81 + 40 * max(0.0, 2.0 - s[0]) - 0.2 * s[1]], [2.3, 0.0], 6.0, 360,
+        names="y", sigma=2e-3, seed=1,
+    )  # fmt: skip
+    report = bsp_gp.close_loop(hung, (), rng=np.random.default_rng(0), n_bootstrap=0)
+    found = {c.name: c for c in report.constants}
+    assert report.verdict == "effect adopted"
+    assert found["h_y1"].value == pytest.approx(2.0, abs=0.01)
+    assert "rubber band" in bsp_gp.summary_text(report)

@@ -40,14 +40,17 @@ class Regimes:
         rows = [(coordinate_of(types, axis)[1], 0) for axis in axes] + drags(view, axes)
         plain = library_of(view, rows)
         bar = LESS * (left_by(view, plain.columns) if plain else float(view.left @ view.left))
-        edges = [(coordinate_of(types, a)[0], f"h_{'xyz'[a]}", extent_of(view, a)) for a in axes]
+        edges = [(*coordinate_of(types, a), f"h_{'xyz'[a]}", extent_of(view, a)) for a in axes]
         if len(scenes) == 1:
             (scene,) = scenes
-            edges.append((Input("t", types["t"]), "t", (scene.times[0], scene.times[-1])))
+            edges.append((Input("t", types["t"]), None, "t", (scene.times[0], scene.times[-1])))
         libraries = []
-        for quantity, stem, extent in edges:
+        for quantity, direction, stem, extent in edges:
             name = fresh_name(view.fit.law, stem)
-            changing = [(_on(quantity, name, side, row), NEW) for side in _SIDES for row, _ in rows]
+            own = [row for row, _ in rows]
+            if direction is not None:  # what it meets there gives way: a rubber band, a bumper
+                own.append(Call("mul", Call("sub", quantity, Constant(name)), direction))
+            changing = [(_on(quantity, name, side, row), NEW) for side in _SIDES for row in own]
             placed = Placed(view, rows + changing, (name,), (extent,), quantity.type.unit)
             found = placed.best_on_line()
             if found is not None and left_by(view, found.columns) < bar:
