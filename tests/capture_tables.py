@@ -90,8 +90,8 @@ CAPTURES = {
         decimal=",", form="{:.9E}",
     ).encode(), one(x=SPRING)),
     "science journal": Sample("exp.csv", table(
-        "relative_time,AccX,AccY,AccZ", [str(50 * k) for k in range(8)], ACROSS, FALL, SPRING,
-    ).encode(), twice(ACROSS, FALL), options={"units": {"length": "m", "time": "ms"}},
+        "relative_time,AccX,AccY,AccZ", [str(50 * k) for k in range(8)], ACROSS, -ACROSS, SPRING,
+    ).encode(), twice(ACROSS, -ACROSS), options={"units": {"length": "m", "time": "ms"}},
         told=("sums of accelerations",)),
     "julian dates": Sample("orbit.csv", table(
         "JD,X (au),Y (au)", [f"{2460000.5 + k}" for k in range(8)], ACROSS, FALL,

@@ -127,8 +127,8 @@ LOOKED_AT = {
     "phyphox, acceleration": Sample("Raw Data.csv", table(
         '"Time (s)","Linear Acceleration x (m/s^2)","Linear Acceleration y (m/s^2)",'
         '"Linear Acceleration z (m/s^2)","Absolute acceleration (m/s^2)"',
-        T, ACROSS, FALL, SPRING, FALL, form="{:.9E}",
-    ).encode(), twice(ACROSS, FALL), told=("sums of accelerations", "Absolute acceleration")),
+        T, ACROSS, 2 * ACROSS, SPRING, FALL, form="{:.9E}",
+    ).encode(), twice(ACROSS, 2 * ACROSS), told=("sums of accelerations",)),
     "tracker, two masses pasted": Sample("pasted.txt", table(
         ["mass A\t\t\tmass B\t\t", "t\tx\ty\tt\tx\ty"], T, ACROSS, FALL, T, SPRING, ACROSS,
         sep="\t",

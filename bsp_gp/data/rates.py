@@ -187,8 +187,10 @@ def _scale(table, declaration, found, kind, order):
     said = declaration.units
     plain = said.get(kind, "")
     texts = {said.get(n, plain or table.units.get(n, "")) for n in found.values()} - {""}
+    time = said.get("t", said.get("time", table.units.get("t", "s")))
+    clock = (parse_unit(time)[0] if is_unit(time) and "t" in table.frame else 1.0) ** order
     if not texts:
-        return 1.0, {}
+        return clock, {}  # what has no unit is per second
     if len(texts) > 1:
         many = "velocities" if order == 1 else "accelerations"
         raise DataError(
@@ -201,8 +203,7 @@ def _scale(table, declaration, found, kind, order):
         return 1.0, {}
     is_turn, is_in_pixels = unit_of(text) == of_turns, "px" in text.lower()
     value = parse_unit(re.sub("(?i)px", "m", text))[0]
-    time = said.get("t", said.get("time", table.units.get("t", "s")))
-    scale = value * (parse_unit(time)[0] if "t" in table.frame else 1.0) ** order
+    scale = value * clock
     if is_in_pixels:
         return scale, dict.fromkeys(found, "px")
     length = said.get("length")

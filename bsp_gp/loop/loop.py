@@ -472,13 +472,13 @@ class _Turn:
             self.run.says(f"fit {n_fits} of {most}: {proposal.text}")
             was_open = self.explained is None
             row, proposal = self._followed(source, proposal, fits.result(k))
-            is_open = row.status == "unconverged" and self._is_ahead(row)
+            is_lost = row.status == "unconverged" and proposal.instead is None
+            is_open = is_lost and self._is_ahead(row)
             if is_open and not is_again and len(left) < MOST_AGAIN:
                 left[len(queue)] = row
                 queue.append((source, replace(proposal, patience=PATIENT)))
-            is_lost = row.status == "unconverged" and not is_again
-            if is_lost and source == "inside" and len(proposal.formulas) > 2:
-                queue += [(source, less) for less in [_shorter(proposal)] if less is not None]
+            if row.status == "unconverged" and not is_again:
+                queue += [(source, other) for other in _in_place_of(source, proposal)]
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
             if proposal.is_sole and self.judged.get(row.id, 0.0) > EXPLAINED:
@@ -1058,6 +1058,14 @@ def _led_by(form, proposal, found, criteria):
         rank=proposal.rank - len(first.constants) + len(form.formulas[0].constants),
         log_prior=form.log_prior - criteria.cause_nats * len(rest),
     )  # fmt: skip
+
+
+def _in_place_of(source, proposal):
+    """What is fitted in the place of a proposal whose fit does not end."""
+    if proposal.instead is not None:
+        return [proposal.instead]
+    is_long = source == "inside" and len(proposal.formulas) > 2
+    return [less for less in [_shorter(proposal)] if less is not None] if is_long else []
 
 
 def _shorter(proposal):

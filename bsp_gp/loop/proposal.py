@@ -80,6 +80,8 @@ class Proposal:
     after : Proposal or None
         From whose fit its own begins, in the place of the fit that both extend: that of a larger
         sum, or of a part of this one.
+    instead : Proposal or None
+        What is fitted in its place where its own fit does not end.
     """
 
     code: str
@@ -107,6 +109,7 @@ class Proposal:
     is_last: bool = False
     news: dict = field(default_factory=dict)
     after: object = None
+    instead: object = None
 
     @property
     def is_series(self):

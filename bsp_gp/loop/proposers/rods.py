@@ -1,7 +1,7 @@
 """Constraints that tracks betray: a distance, a line, curve or plane that stays what it is."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -10,7 +10,8 @@ from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.parts.constraints import read_constraint
 from bsp_gp.fitting.probes import probe_terms
-from bsp_gp.language.formula import Call, Constant
+from bsp_gp.language.formula import Call, Constant, Input
+from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.loop.proposers.periods import coordinate_of
 from bsp_gp.physics.bodies import dataset_types
@@ -252,27 +253,40 @@ def _proposal(view, kept, every, n_tried):
     except LawError:  # masses that a rod would need are not known
         return None
     part = part.at(dict(zip(names, kept.values, strict=True)))
-    pushes = _pushes(view, kept)
+    pushes, braked = _pushes(view, kept)
     log_prior = -view.criteria.cause_nats * (1 + len(pushes)) - math.log(n_tried)
     text = kept.text.format(*(f"{value:.4g}" for value in kept.values))
     for letter, name in zip("ij", kept.pair, strict=True):
         text = text.replace(f"_{letter}", f"_{name}") if name else text
-    hypothesis = view.hypothesis + part
-    if pushes:
-        strengths = {name: math.nan for term in pushes for name in term.formula.constants}
-        hypothesis = hypothesis + Forces(ForceLaw(pushes, strengths))
     is_sole = kept.is_sole and _share(fit, every) > MOST
-    return Proposal(
+    hypothesis = _under(view.hypothesis + part, pushes)
+    proposal = Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names) + len(pushes), kind="constraint",
         judged=beside_probes(fit, hypothesis), error=level, is_sole=is_sole, patience=PATIENT,
         is_afresh=True,
     )  # fmt: skip
+    if not braked:
+        return proposal
+    # What is slowed down on its way over the top is not followed without that.
+    other = replace(
+        proposal, hypothesis=_under(hypothesis, braked), rank=proposal.rank + len(braked),
+        log_prior=log_prior - view.criteria.cause_nats,
+    )  # fmt: skip
+    return replace(proposal, instead=other)
+
+
+def _under(hypothesis, terms):
+    """A hypothesis with forces of unknown strengths."""
+    if not terms:
+        return hypothesis
+    strengths = {name: math.nan for term in terms for name in term.formula.constants}
+    return hypothesis + Forces(ForceLaw(terms, strengths))
 
 
 def _pushes(view, kept):
-    """The weight that keeps a held body swinging, where no force at all is known; else ()."""
+    """The weight that keeps a held body swinging, where no force at all is known, and a drag."""
     if view.fit.law.terms or not (kept.is_sole and kept.way):
-        return ()
+        return (), ()
     law, terms, most = view.fit.law, [], max(map(abs, kept.way))
     types = dataset_types(view.dataset)
     for axis, along in enumerate(kept.way):
@@ -281,7 +295,8 @@ def _pushes(view, kept):
             push = Call("mul", Constant(name), coordinate_of(types, axis)[1])
             terms.append(Term(push, "field"))
             law = law.plus(terms[-1], {name: math.nan})
-    return tuple(terms)
+    drag = Call("mul", Constant(fresh_name(law, "c")), Input("v_i", STATE_INPUTS["v_i"]))
+    return tuple(terms), (Term(drag, "field"),)
 
 
 def beside_probes(fit, hypothesis):
