@@ -36,7 +36,9 @@ def plain_sentence(report):
         return f"{sentence[:-1]}; {', and '.join(clauses)}.", detail
     parts = [part for r in adopted for part in r.effect.parts]
     told = f"They are: {'; '.join(parts)}." if parts else ""
-    return sentence, " ".join(filter(None, (told, detail)))
+    beside = [force for r in adopted for force in r.effect.beside]
+    also = f"What acts on it under way: {'; '.join(beside)}." if beside else ""
+    return sentence, " ".join(filter(None, (told, also, detail)))
 
 
 def legend(report):

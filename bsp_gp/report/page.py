@@ -151,6 +151,7 @@ def _round(done, report):
     done = _settled(done, report)
     other = report.dataset.get("partner") or "the other body"
     parts = () if done.effect is None else _parts(done.effect, report.law, other)
+    beside = () if done.effect is None else _beside(done.effect, report.law, other)
     name = "" if done.effect is None else _name(done.effect, parts, other)
     tied = _tied(done) if done.reason == "kinds_tie" else ()
     p_value = done.missing.p_value
@@ -159,7 +160,7 @@ def _round(done, report):
         is_missing=is_number(p_value) and p_value <= report.alpha,
         noise=tuple(_noise(finding) for finding in done.noise_findings[:_MOST_FINDINGS]),
         bound=_bound(done.hidden_bound),
-        effect=None if done.effect is None else _effect(done.effect, name, parts, tied),
+        effect=None if done.effect is None else _effect(done.effect, name, parts, beside, tied),
         unlisted=sum(
             _finite(row["probability"]) for row in done.hypotheses if row["status"] == "linearised"
         ),
@@ -194,6 +195,20 @@ def _parts(effect, law, other):
     terms = [t for t in law.terms if not t.is_declared and set(t.formula.constants) & set(added)]
     if effect.formula is not None or not effect.law or len(terms) < 2:
         return ()
+    return _phrases(terms, added, effect, other)
+
+
+def _beside(effect, law, other):
+    """In plain words, the forces that were found with what holds bodies or stops them."""
+    if effect.kind not in ("constraint", "wall"):
+        return ()
+    added = {c.name: c.value for c in effect.constants}
+    terms = [t for t in law.terms if not t.is_declared and set(t.formula.constants) & set(added)]
+    return _phrases(terms, added, effect, other)
+
+
+def _phrases(terms, added, effect, other):
+    """Terms in plain words, those along several axes as one."""
     values = [next((added[n] for n in t.formula.constants if n in added), None) for t in terms]
     own = [[e for e in effect.exponents if e["term"] == to_text(t.formula)] for t in terms]
     every = zip(terms, values, own, strict=True)
@@ -236,10 +251,10 @@ def _name(effect, parts, other):
     return CAUSES.get(effect.code, effect.name)
 
 
-def _effect(effect, name, parts, tied):
+def _effect(effect, name, parts, beside, tied):
     return SimpleNamespace(
         name=name, code=effect.code, parts=parts if len(parts) > 1 else (), kind=effect.kind,
-        law=effect.law or effect.name,
+        beside=beside, law=effect.law or effect.name,
         written=effect.law, latex=effect.latex,
         entities=effect.entities, constants=effect.constants, p_value=effect.p_value,
         probability=effect.probability, is_fact=effect.is_fact,
