@@ -212,8 +212,15 @@ def _phrases(terms, added, effect, other):
     values = [next((added[n] for n in t.formula.constants if n in added), None) for t in terms]
     own = [[e for e in effect.exponents if e["term"] == to_text(t.formula)] for t in terms]
     every = zip(terms, values, own, strict=True)
-    told = [describe(t.formula, v, other, exponents) for t, v, exponents in every]
+    told = [describe(t.formula, v, other, exponents) + _strengths(t.formula)
+            for t, v, exponents in every]  # fmt: skip
     return along_one_line(told, values)
+
+
+def _strengths(formula):
+    """What is said behind a force with a constant of each body or scene."""
+    own = (found[1] for n in formula.constants if (found := re.search(r"\[(body|scene)\]$", n)))
+    return next((f", {OWN_STRENGTHS[f'law_by_{by}']}" for by in own), "")
 
 
 def _name(effect, parts, other):

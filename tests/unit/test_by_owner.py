@@ -4,8 +4,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.integrate import solve_ivp
 
+import bsp_gp
 from bsp_gp.fitting.fit import fit
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.proposers.by_owner import ByOwner
@@ -13,6 +16,7 @@ from bsp_gp.loop.view import selected
 from bsp_gp.physics.bodies import dataset_types
 from tests.loop_views import throws, view_of
 
+BALLS = "steel", "tennis", "foam"
 TEXTS = ("c1 * v_i", "c1 * e_x", "c1 * m_i * perp(v_i)")
 
 
@@ -80,3 +84,31 @@ def test_nothing_is_left_alone_and_two_scenes_are_not_asked():
     _, family, chance = proposed(np.zeros(5))
     assert chance > 0.01 and not family.proposals
     assert not proposed(np.array([0.3, -0.3]))[1].n_tried
+
+
+@pytest.mark.slow
+def test_a_weight_for_all_and_a_drag_for_each_ball_are_found_as_one():
+    """A vortex half a kilometre away was told for the weight, and the drags beside it."""
+    rng, times, columns = np.random.default_rng(0), np.arange(78) / 60, {}
+    for ball, drag in zip(BALLS, (0.004, 0.03, 0.12), strict=True):
+        speed, angle = rng.uniform(7, 10), rng.uniform(0.7, 1.1)
+        first = [0.0, 1.5, speed * np.cos(angle), speed * np.sin(angle)]
+
+        def rate(_, s, drag=drag):
+            speed = np.hypot(s[2], s[3])
+            return [s[2], s[3], -drag * speed * s[2], -9.81 - drag * speed * s[3]]
+
+        path = solve_ivp(rate, (0, times[-1]), first, t_eval=times, rtol=1e-9).y[:2]
+        noise = 0.003 * rng.standard_normal(path.shape)
+        columns |= {f"{axis}_{ball}": row for axis, row in zip("xy", path + noise, strict=True)}
+    data = bsp_gp.Dataset.from_frames(
+        pd.DataFrame({"t": times, **columns}), units={"length": "m", "time": "s"}
+    )
+    report = bsp_gp.close_loop(data, (), rng=np.random.default_rng(0), n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    found = {(c.name, c.entity): c for c in report.constants}
+    assert found["c1", ""].value == pytest.approx(-9.81, abs=0.03)
+    assert found["c2[body]", "foam"].value == pytest.approx(-0.12, abs=0.003)
+    told = bsp_gp.summary_text(report)
+    assert "uniform push along y" in told
+    assert "of another strength for each body" in " ".join(told.split())

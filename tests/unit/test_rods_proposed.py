@@ -146,3 +146,19 @@ def test_errors_with_a_memory_are_larger_than_their_changes_tell():
     )  # fmt: skip
     assert told * rods._unseen(noise, 0.1) == pytest.approx(errors.std(), rel=0.05)
     assert rods._unseen(replace(noise, correlated=0.0), 0.1) == 1.0
+
+
+@pytest.mark.slow
+def test_a_bob_that_goes_over_the_top_and_is_slowed_is_held_beside_a_drag():
+    """Without it no weight leads there, and four forces were told in the place of the rod."""
+    times = np.arange(240) / 60
+    angle = solve_ivp(
+        lambda _, s: [s[1], -9.81 / 0.8 * np.sin(s[0]) - 0.08 * s[1]], (0, times[-1]),
+        [0.0, np.sqrt(5.5 * 9.81 / 0.8)], t_eval=times, rtol=1e-9,
+    ).y[0]  # fmt: skip
+    data = track(times, 0.3 + 0.8 * np.sin(angle), 1 - 0.8 * np.cos(angle), sigma=3e-3)
+    report = bsp_gp.close_loop(data, (), rng=np.random.default_rng(0), n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    assert report.rounds[0].effect.code == "rod"
+    told = " ".join(bsp_gp.summary_text(report).split())
+    assert "What acts on it under way: uniform push along y; drag, linear in speed" in told

@@ -125,3 +125,32 @@ def test_a_wind_along_the_one_axis_of_motion():
     (found,) = _winds(view_of(data, LAWS[0]))
     assert set(found.starts) == {"wind_x1"}  # nothing is told of another axis
     assert found.promise > 20.0
+
+
+def kicked_balls(rng):
+    """Three kicks of a ball in a wind, nothing declared, in space."""
+    times, wind, rows = np.arange(60) / 30, np.array([-3.0, 2.0, 0.0]), []
+    for kick in range(3):
+        first = [0, 0, 0.2, rng.uniform(15, 22), rng.uniform(-3, 3), rng.uniform(8, 12)]
+
+        def rate(_, s):
+            past = s[3:] - wind
+            return [*s[3:], *([0, 0, -9.81] - 0.014 * np.linalg.norm(past) * past)]
+
+        path = solve_ivp(rate, (0, times[-1]), first, t_eval=times, rtol=1e-9).y[:3]
+        path = path + 0.01 * rng.standard_normal(path.shape)
+        rows.append(pd.DataFrame(dict(zip("xyz", path, strict=True))).assign(t=times, scene=kick))
+    return bsp_gp.Dataset.from_frames(pd.concat(rows), units={"length": "m", "time": "s"})
+
+
+@pytest.mark.slow
+def test_a_drag_in_a_wind_is_found_where_nothing_is_declared():
+    """It was told as a spring to a point four kilometres below, and a camera that drifts."""
+    report = bsp_gp.close_loop(
+        kicked_balls(np.random.default_rng(1)), (), rng=np.random.default_rng(0), n_bootstrap=0
+    )
+    assert report.verdict == "effect adopted"
+    assert "drag in a wind" in bsp_gp.summary_text(report)
+    found = {c.name: c for c in report.constants}
+    assert found["u_x1"].value == pytest.approx(-3.0, abs=0.4)
+    assert found["u_y1"].value == pytest.approx(2.0, abs=0.2)

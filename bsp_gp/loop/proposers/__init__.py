@@ -2,6 +2,7 @@
 
 from bsp_gp.loop.proposers.anchors import Anchors
 from bsp_gp.loop.proposers.aslant import Aslant
+from bsp_gp.loop.proposers.blown import Blown
 from bsp_gp.loop.proposers.by_owner import ByOwner
 from bsp_gp.loop.proposers.companions import Companions
 from bsp_gp.loop.proposers.contacts import Contacts
@@ -47,9 +48,9 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     inside = Inside(laws, dataset)
     return [
-        laws, inside, Polynomials(laws), Regimes(), Swings(inside), ByOwner(laws), OwnLaws(laws),
-        Declared(), Varying(), Growing(), Winds(), Periods(), Ripples(), Pulsing(), Frames(),
-        Inclinations(), References(), Sources(), Hidden(), Aslant(), Companions(), Kicks(),
-        Contacts(), Walls(), Rods(), Anchors(), Measurement(), LateLogs(), Defects(), Hands(),
-        Noise(), Unfollowed(laws),
+        laws, inside, Polynomials(laws), Regimes(), Blown(), Swings(inside), ByOwner(laws),
+        OwnLaws(laws), Declared(), Varying(), Growing(), Winds(), Periods(), Ripples(), Pulsing(),
+        Frames(), Inclinations(), References(), Sources(), Hidden(), Aslant(), Companions(),
+        Kicks(), Contacts(), Walls(), Rods(), Anchors(), Measurement(), LateLogs(), Defects(),
+        Hands(), Noise(), Unfollowed(laws),
     ]  # fmt: skip

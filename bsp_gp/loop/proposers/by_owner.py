@@ -1,20 +1,25 @@
 """Laws with a constant of each scene or body: a spin, a wind, a roughness that nobody noted."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.tangent import as_pair
-from bsp_gp.language.formula import Call, Constant, factors, quotient
+from bsp_gp.language.formula import Call, Constant, Formula, factors, quotient
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.laws import SAME, declared_directions, is_along
 from bsp_gp.loop.proposers.varying import columns_by, owners
-from bsp_gp.physics.force import Term, fresh_name, split_linear
+from bsp_gp.physics.force import Term, fresh_name, fresh_names, split_linear
+from bsp_gp.search.columns import orthonormal
 
 FEWEST = 3
 """Scenes, or bodies, of which numbers of their own are no mere pair."""
+MOST_SHARED, MOST_OWNERS = 3, 12
+"""Laws of one strength for all beside which one of a strength for each is asked for, and owners."""
+APART = 0.02
+"""Part of a law that must lie beside one with a constant of each owner to be another one."""
 SIZES = np.geomspace(1e-3, 1e3, 49)
 """Spreads of the numbers that are tried, in their typical standard error."""
 
@@ -37,6 +42,7 @@ class ByOwner:
     def propose(self, view):
         """The family of all such laws."""
         null, found, best, n_tried = np.zeros(view.moment_draws.shape[1]), [], 0.0, 0
+        asked = []
         promised, least = view.promised, view.criteria.noise_nats
         forms = forms_of(self.laws, view)
         declared = declared_directions(view)
@@ -59,13 +65,81 @@ class ByOwner:
                 height = evidence_of(view, columns)
                 together = evidence_of(view, columns.sum(axis=1, keepdims=True))
                 promised = max(promised, together - view.criteria.cause_nats)
+                asked.append(_Asked(rest, by, keys, columns, cost, together))
                 if height - together > least:
                     own = _proposal(view, rest, by, keys, score, height, ties, cost)
                     _add(found, score.statistic, own)
         # Where some law with one number for all does as well, no other is asked for.
-        proposals = [p for _, p in found if p.promise > promised - least]
+        proposals = [p for _, p in found] + list(_sums(view, asked, least))
+        proposals = [p for p in proposals if p.promise > promised - least]
         proposals.sort(key=lambda p: -p.promise)
         return Family(self.name, tuple(proposals), best, 2, null, n_tried=n_tried)
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """A form with a constant of each owner.
+
+    Attributes
+    ----------
+    form : Formula
+    by : str
+    keys : list of str
+        Of the owners.
+    columns : ndarray, shape (n, B)
+        Its moments on each.
+    cost : float, nats
+    together : float, nats
+        Log-evidence with one number for all.
+    """
+
+    form: Formula
+    by: str
+    keys: list
+    columns: np.ndarray
+    cost: float
+    together: float
+
+
+def _sums(view, asked, least):
+    """Laws of one strength for all and one of a strength for each owner: a weight, and drags.
+
+    Such a sum is none of what noise alone is asked for, so that it cannot make it speak.
+    """
+    alike = sorted({one.form: one for one in asked}.values(), key=lambda one: -one.together)
+    for first in alike[:MOST_SHARED]:
+        column = first.columns.sum(axis=1, keepdims=True)
+        beside = view.beside(column)
+        taken = orthonormal(beside, len(column))
+        for own in asked:
+            if len(own.keys) > MOST_OWNERS:
+                continue
+            basis = orthonormal(view.beside(own.columns), len(column))
+            rest = beside - basis @ (basis.T @ beside)
+            if not np.linalg.norm(rest) > APART * np.linalg.norm(beside):
+                continue  # numbers of the owners make it up
+            height = evidence_of(view, own.columns, taken)
+            if height - evidence_of(view, own.columns.sum(axis=1, keepdims=True), taken) > least:
+                yield _sum(view, first, own, column, height)
+
+
+def _sum(view, first, own, column, height):
+    """A proposal of two laws, the second with a constant of each owner."""
+    both = view.beside(np.concatenate([column, own.columns], axis=1))
+    amounts = np.linalg.lstsq(both, view.left, rcond=1e-10)[0]
+    one, other = fresh_names(view.fit.law, range(2), "c").values()
+    other = f"{other}[{own.by}]"
+    terms = Call("mul", Constant(one), first.form), Call("mul", Constant(other), own.form)
+    table = dict(zip(own.keys, amounts[1:].tolist(), strict=True))
+    tables = {one: float(amounts[0])}, {other: table}
+    hypothesis = view.hypothesis
+    for term, table in zip(terms, tables, strict=True):
+        hypothesis = with_term(hypothesis, Term(term), table)
+    return Proposal(
+        f"law_by_{own.by}", " + ".join(map(to_text, terms)), hypothesis,
+        -own.cost - 2 * view.criteria.cause_nats, 2 * (first.together + height),
+        len(amounts), is_wide=True, formulas=terms, n_dims=view.dataset.n_dims,
+    )  # fmt: skip
 
 
 def forms_of(laws, view, more=()):
@@ -124,9 +198,18 @@ def _add(found, statistic, proposal):
     found.append((statistic, proposal))
 
 
-def evidence_of(view, columns):
-    """Log-evidence of independent normal numbers before columns beside none, nats."""
-    basis, sizes, _ = np.linalg.svd(view.beside(columns), full_matrices=False)
+def evidence_of(view, columns, taken=None):
+    """Log-evidence of independent normal numbers before columns beside none, nats.
+
+    Parameters
+    ----------
+    taken : ndarray, shape (n, k), optional
+        Orthonormal columns that are in the law as well.
+    """
+    beside = view.beside(columns)
+    if taken is not None:
+        beside = beside - taken @ (taken.T @ beside)
+    basis, sizes, _ = np.linalg.svd(beside, full_matrices=False)
     squares, sizes = np.square(basis.T @ view.left), np.square(sizes)
     share = np.square(SIZES)[:, None] * sizes / sizes.mean()
     heights = 0.5 * (squares * share / (1 + share) - np.log1p(share)).sum(axis=1)
