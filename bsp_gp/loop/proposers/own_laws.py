@@ -13,6 +13,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.by_owner import evidence_of, forms_of
 from bsp_gp.loop.proposers.laws import SAME
+from bsp_gp.loop.proposers.libraries import moving_axes
 from bsp_gp.loop.proposers.varying import columns_by
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, fresh_names
@@ -62,22 +63,21 @@ class OwnLaws:
         unit, told = _unit(view.beside(flat.T), flat)
         null = as_pair(np.square(unit.T @ view.draws_left).max(axis=0), 1)
         best = float(as_pair(np.square(unit.T @ view.left).max(), 1))
-        chosen = sorted({k // len(keys) for k in _chosen(view, flat)})
         family = Family(self.name, (), best, 2 if told.any() else 0, null, n_tried=len(flat))
-        if not chosen:
-            return family
-        own = columns[chosen].transpose(1, 0, 2).reshape(columns.shape[1], -1)
-        score, height = view.score_forces(own), evidence_of(view, own)
-        together = evidence_of(view, columns[chosen].sum(axis=2).T)
-        if height - together <= view.criteria.noise_nats:
-            return family
-        proposal = _proposal(view, [forms[k] for k in chosen], keys, score, height)
-        return replace(family, proposals=(proposal,))
+        # Which way goes at first what starts at rest is told by an axis alone, not by its velocity.
+        even = [k for k, form in enumerate(forms) if set(form.inputs) <= {"e_x", "e_y", "e_z"}]
+        for allowed in (range(len(forms)), even):
+            own = _own(view, [forms[k] for k in allowed], keys, columns[list(allowed)])
+            if own is not None:
+                return replace(family, proposals=(own,))
+        return family
 
     def _columns(self, view):
         """Forms, names of bodies, and moments of each form on each body, (F, n, B)."""
         types, n_dims = dataset_types(view.dataset), view.dataset.n_dims
-        own = [parse_formula(text, types) for text in FORMS if is_across_in(text, n_dims)]
+        axes = [f"e_{'xyz'[axis]}" for axis in moving_axes(view)]
+        texts = (*axes, *FORMS)
+        own = [parse_formula(text, types) for text in texts if is_across_in(text, n_dims)]
         kept, keys, out = [], [], []
         for form in forms_of(self.laws, view, own):
             try:
@@ -88,6 +88,25 @@ class OwnLaws:
                 kept.append(form)
                 out.append(columns)
         return kept, keys, np.array(out)
+
+
+def _own(view, forms, keys, columns):
+    """The sum that suits each body best; None where one number for all does as well.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (F, n, B)
+    """
+    flat = np.moveaxis(columns, 2, 1).reshape(-1, columns.shape[1])
+    chosen = sorted({k // len(keys) for k in _chosen(view, flat)}) if len(flat) else []
+    if not chosen:
+        return None
+    own = columns[chosen].transpose(1, 0, 2).reshape(columns.shape[1], -1)
+    score, height = view.score_forces(own), evidence_of(view, own)
+    together = evidence_of(view, columns[chosen].sum(axis=2).T)
+    if height - together <= view.criteria.noise_nats:
+        return None
+    return _proposal(view, [forms[k] for k in chosen], keys, score, height)
 
 
 def _chosen(view, columns):
