@@ -40,6 +40,8 @@ VARIES, CHANCE = 0.08, 1e-6
 """Spread of the acceleration that a hand gives, in its mean, and the chance of it."""
 FEW = 3
 """Pieces in a hand, below which it is not asked whether it changes."""
+MOVED = 10.0
+"""Errors of a place by which a body moves that is not at rest."""
 REST = 0.5
 """Part of the usual acceleration below which a body is held, or lies on something."""
 
@@ -86,6 +88,8 @@ def without_hands(dataset, law):
         half = 0 if found is None else pieces[scene.name][0] // 2
         first = 0 if found is None else _led(found, found.rows, half, count)
         last = 0 if found is None else _led(found, count - 1 - found.rows, half, count)
+        if (first or last) and _is_still(scene.rows(first, count - last), levels):
+            first = last = 0  # what slides until it stops is in nobody's hand
         scenes.append(scene.rows(first, count - last) if first or last else scene)
         ends = [f"{first} before {scene.times[first]:.4g} {second}"] if first else []
         ends += [f"{last} after {scene.times[count - 1 - last]:.4g} {second}"] if last else []
@@ -98,6 +102,13 @@ def without_hands(dataset, law):
         f"--all-rows keeps them"
     )
     return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
+
+
+def _is_still(scene, levels):
+    """Whether the moving body of a scene stays where it is."""
+    axes = np.isfinite(levels)
+    places = scene.positions[:, scene.dynamic[0]][:, axes]
+    return bool((np.ptp(places, axis=0) < MOVED * levels[axes]).all())
 
 
 def _pieces(scene, levels):

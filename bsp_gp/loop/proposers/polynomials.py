@@ -6,6 +6,7 @@ expanded. Moments are linear in the coefficients, so that sets of powers are cho
 about the origin, on a line about a place that is fitted, and of the distance to such a place.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -42,6 +43,11 @@ OF_DISTANCE = (-5, -4, -3, -2, -1, 0, 1, 2, 3)
 """Powers of the distance to a centre."""
 MOST_LOOKS = 100
 """Centres that are tried near the best of these."""
+POST_REACH, ACROSS_POSTS, BEST_POSTS = 4.0, 13, 3
+"""Extents of the tracks within which a post lies, posts along every axis that are tried at first,
+and of these the best, from which others are looked for."""
+LARGEST_ABOUT_POSTS = 4
+"""Terms in one sum about a post."""
 
 
 class Polynomials:
@@ -74,6 +80,7 @@ class Polynomials:
             libraries.append(_about_a_place(view, axes[0], *extents[0]))
         else:
             libraries.append(_about_a_centre(view, axes, extents, self._placed()))
+            libraries.append(_about_a_post(view, axes, extents))
         return family_of(self.name, view, [library for library in libraries if library])
 
     def _placed(self):
@@ -102,13 +109,7 @@ def _about_a_place(view, axis, low, high):
 def _about_a_centre(view, axes, extents, placed):
     """Powers of the distance to the point where these explain most, beside what is placed."""
     types = dataset_types(view.dataset)
-    names = tuple(fresh_name(view.fit.law, f"{PLACE}{'xyz'[axis]}") for axis in axes)
-    centre = Input("origin", types["origin"])
-    for name, axis in zip(names, axes, strict=True):
-        _, direction = coordinate_of(types, axis)
-        centre = Call("add", centre, Call("mul", Constant(name), direction))
-    way = Call("sub", centre, Input("p_i", types["p_i"]))
-    distance, towards = Call("norm", way), Call("normalize", way)
+    names, distance, towards = _towards(view, axes)
     rows = [(product([_power(distance, k), towards]) if k else towards, 1) for k in OF_DISTANCE]
     power = Constant(fresh_name(view.fit.law, "n"))
     free = product([Call("pow", distance, power), towards])
@@ -124,6 +125,53 @@ def _about_a_centre(view, axes, extents, placed):
     )  # fmt: skip
     library = placed.library(found.x)
     return library and replace(library, freed=freed, largest=LARGEST_ABOUT)
+
+
+def _about_a_post(view, axes, extents):
+    """A spring of some length to the point where it explains most beside a weight and a drag.
+
+    Both of its parts, one as the distance and one of constant size, are linear in what they pull
+    with, so that the point alone is sought.
+    """
+    types, unit = dataset_types(view.dataset), STATE_INPUTS["p_i"].unit
+    names, distance, towards = _towards(view, axes)
+    beside = [(coordinate_of(types, axis)[1], 0) for axis in axes] + drags(view, axes)
+    reach = POST_REACH * max(high - low for low, high in extents)
+    wide = [((low + high) / 2 - reach, (low + high) / 2 + reach) for low, high in extents]
+    loose = [(Call("mul", distance, towards), 0), (towards, 0), *beside]
+    placed = Placed(view, loose, names, tuple(wide), unit)
+    lines = [np.linspace(*extent, ACROSS_POSTS) for extent in wide]
+    grid = np.stack(np.meshgrid(*lines), axis=-1).reshape(-1, len(axes))
+    heights = [placed.unexplained(at) for at in grid]
+    found = min((
+        minimize(placed.unexplained, grid[k], method="Nelder-Mead",
+                 options={"maxfev": MOST_LOOKS, "xatol": 0.0})
+        for k in np.argsort(heights)[:BEST_POSTS]
+    ), key=lambda each: each.fun)  # fmt: skip
+    library = placed.library(found.x)
+    if library is None or library.formulas[:2] != (loose[0][0], towards):
+        return None
+    spring, even = np.linalg.lstsq(library.columns, view.left, rcond=1e-10)[0][:2]
+    length = float(-even / spring) if spring else math.nan
+    if not 0 < length < reach:
+        return None
+    name = fresh_name(view.fit.law, "D")
+    tied = Call("mul", Call("sub", distance, Constant(name)), towards)
+    rows, ends = [(tied, NEW), *beside], (*wide, (0.0, reach))
+    whole = Placed(view, rows, (*names, name), ends, unit).library((*found.x, length))
+    return whole and replace(whole, largest=LARGEST_ABOUT_POSTS)
+
+
+def _towards(view, axes):
+    """Names of the coordinates of a point, the distance to it, and the way."""
+    types = dataset_types(view.dataset)
+    names = tuple(fresh_name(view.fit.law, f"{PLACE}{'xyz'[axis]}") for axis in axes)
+    centre = Input("origin", types["origin"])
+    for name, axis in zip(names, axes, strict=True):
+        _, direction = coordinate_of(types, axis)
+        centre = Call("add", centre, Call("mul", Constant(name), direction))
+    way = Call("sub", centre, Input("p_i", types["p_i"]))
+    return names, Call("norm", way), Call("normalize", way)
 
 
 def _rows(view, coordinates, highest, is_odd=False):
