@@ -6,6 +6,7 @@ bodies of which no force on each other is declared, may go round what nobody see
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,6 +39,8 @@ ZOOMS, CLOSER, MOVES, LITTLE = 6, 2.5, 4, 1e-4
 part of a gain that is worth it."""
 AWAY = 0.1
 """Part of the data's size that a fit may miss and still lead to what extends it."""
+MOST = 0.9
+"""Part of what no law at all leaves that a source explains, from which it is fitted in any case."""
 SAME = 1e-6
 """By which two pulls may differ that are one."""
 
@@ -90,7 +93,12 @@ class Hidden(Sources):
             n_tried += len(gains)
             for k in apart(unit, gains):
                 proposals += stage.proposals(terms, *stage.closer(terms, k))
-        return self.family(proposals, null, n_tried)
+        family = self.family(proposals, null, n_tried)
+        if view.fit.law.terms or not family.gain > MOST * float(view.left @ view.left):
+            return family
+        # Of orbits with few rows a turn moments tell all but the power: who goes round something
+        # is fitted, whatever sums of other forms promise beside it.
+        return replace(family, proposals=family.proposals[:N_STARTS], is_control=True)
 
 
 def pulls_of(view, strength):

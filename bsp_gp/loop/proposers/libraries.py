@@ -36,6 +36,8 @@ REACH = 3.0
 """Times what the best sum leaves that others may leave to be proposed."""
 PLACES = 41
 """Places on a line that are tried at first."""
+SETTLING = 0.05
+"""Part of a line within which every sum looks for a place of its own."""
 SERIES = 12.0
 """Nats against a series that may stand for a force of any form: forms of textbooks cost their inner
 numbers, which coefficients of a series do not have."""
@@ -76,12 +78,14 @@ def family_of(name, view, libraries, has_waves=True):
     """
     found, alone = [], None
     for library in libraries:
-        found += sums_of(view, library)
+        sums = sums_of(view, library)
+        found += [settled(each) for each in sums] if library.placed else sums
         if has_waves and left_by(view, library.columns) > SHAKEN * view.n_left:
             alone = waves_alone(view) if alone is None else alone
             wave = wave_beside(view, library.columns, alone)
             found += sums_of(view, library, wave) if wave is not None else []
-    reach = REACH * min((loss for loss, *_ in found), default=0.0)
+    # What noise leaves is no reason against a shorter sum, whatever longer ones take off that.
+    reach = max(REACH * min((loss for loss, *_ in found), default=0.0), view.n_left)
     near = [each for loss, *each in found if loss <= reach]
     proposals = [p for each in near for p in _proposals(view, *each)]
     proposals.sort(key=lambda p: -p.promise)
@@ -107,6 +111,9 @@ class Library:
         Powers of a distance with a constant in the place of the power, and what that was.
     largest : int
         Terms in one sum.
+    placed : Placed or None
+        By which every sum has a place of its own, where that is one number: that of all terms
+        together is not that of a few.
     """
 
     formulas: tuple
@@ -116,6 +123,7 @@ class Library:
     at: tuple = ()
     freed: dict = field(default_factory=dict)
     largest: int = LARGEST
+    placed: object = None
 
 
 class Placed:
@@ -135,6 +143,7 @@ class Placed:
 
     def __init__(self, view, rows, names, extents, unit):
         self.view, self.rows, self.unit, self.names = view, rows, unit, names
+        self.extents = extents
         self.places = tuple(
             Parameter(name, low=low, high=high, prior=Prior("uniform", low, high))
             for name, (low, high) in zip(names, extents, strict=True)
@@ -154,8 +163,12 @@ class Placed:
         line = np.linspace(low, high, PLACES)
         best = line[int(np.argmin([self.unexplained((at,)) for at in line]))]
         step = line[1] - line[0]
+        return self.near(best, step)
+
+    def near(self, at, step):
+        """The same within a step of a place."""
         found = minimize_scalar(
-            lambda at: self.unexplained((at,)), bounds=(best - step, best + step), method="bounded"
+            lambda at: self.unexplained((at,)), bounds=(at - step, at + step), method="bounded"
         )
         return self.library((found.x,))
 
@@ -164,6 +177,22 @@ class Placed:
         is_within = all(p.low <= x <= p.high for p, x in zip(self.places, at, strict=True))
         known = self.library(at) if is_within else None
         return left_by(self.view, known.columns) if known else self.target
+
+
+def settled(sum_):
+    """A sum of `sums_of` about the place where it explains most."""
+    loss, library, members, wave = sum_
+    placed, own = library.placed, [library.formulas[k] for k in members]
+    if not any(set(placed.names) & set(formula.constants) for formula in own):
+        return sum_
+    rows = [(library.formulas[k], int(library.news[k])) for k in members]
+    ((low, high),) = placed.extents
+    few = Placed(placed.view, rows, placed.names, placed.extents, placed.unit)
+    other = few.near(library.at[0], SETTLING * (high - low))
+    if other is None or len(other.formulas) < len(rows):
+        return sum_
+    left = left_by(placed.view, other.columns)
+    return (left, other, tuple(range(len(rows))), wave) if left < loss else sum_
 
 
 def library_of(view, rows, at=None):

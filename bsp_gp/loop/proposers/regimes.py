@@ -5,6 +5,8 @@ looks for one cause finds a kick there. So the terms of textbooks are taken ever
 and on the other, and sums of them chosen as a whole where all of them together explain most.
 """
 
+from dataclasses import replace
+
 from bsp_gp.language.formula import Call, Constant, Input, Number, product
 from bsp_gp.loop.proposal import NEW, Family
 from bsp_gp.loop.proposers.libraries import (
@@ -54,7 +56,7 @@ class Regimes:
             placed = Placed(view, rows + changing, (name,), (extent,), quantity.type.unit)
             found = placed.best_on_line()
             if found is not None and left_by(view, found.columns) < bar:
-                libraries.append(found)
+                libraries.append(replace(found, placed=placed))
         return family_of(self.name, view, libraries, has_waves=False)
 
 
