@@ -481,11 +481,12 @@ class _Turn:
                 queue += [(source, other) for other in _in_place_of(source, proposal)]
             if proposal.is_sole and row.is_fit and self.judged.get(row.id, 9.0) < EXPLAINED:
                 break
-            if proposal.is_sole and self.judged.get(row.id, 0.0) > EXPLAINED:
+            is_left = self.judged.get(row.id, 0.0) > EXPLAINED
+            if proposal.is_sole and is_left and proposal.instead is None:
                 broken.append((proposal, self.judged[row.id]))
             if proposal.is_first and row.is_fit and self._is_most(row):
                 break
-            if row.is_fit or not (is_open or proposal.formulas):
+            if row.is_fit or not (is_open or proposal.formulas or proposal.instead):
                 is_likelier = row.log_posterior > self.rows[0].log_posterior
                 unkept[source] = -math.inf if is_likelier else unkept.get(source, 0) + 1
             if row.is_fit:

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 
@@ -311,3 +312,27 @@ def test_a_ball_that_bounces_in_noise_is_told():
     (kept,) = (c for c in report.constants if c.name == "e1")
     assert kept.value == pytest.approx(0.8, abs=1.5 * (kept.high - kept.low))
     assert report.rounds[-1].reason == "not_significant"
+
+
+@pytest.mark.slow
+def test_a_puck_in_a_box_meets_four_smooth_walls():
+    """With all numbers of four walls no fit ended, and a power of a distance was told instead."""
+    step, place, speed, places = 1 / 6000, np.array([0.3, 0.4]), np.array([0.9, 0.65]), []
+    for k in range(24_000):
+        if k % 100 == 0:
+            places.append(place.copy())
+        speed = speed * (1 - 0.05 * step)
+        place = place + speed * step
+        for axis, end in enumerate((1.2, 0.8)):
+            if place[axis] * speed[axis] < 0 or (place[axis] > end and speed[axis] > 0):
+                speed[axis] *= -0.9
+    places = np.array(places) + 1e-3 * np.random.default_rng(2).standard_normal((240, 2))
+    data = Dataset.from_frames(
+        pd.DataFrame({"t": np.arange(240) / 60, "x": places[:, 0], "y": places[:, 1]}),
+        units={"length": "m", "time": "s"},
+    )
+    report = close_loop(data, (), rng=np.random.default_rng(0), n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    assert report.rounds[0].effect.code == "bounce"
+    found = sorted(c.value for c in report.constants if c.name.startswith("h"))
+    np.testing.assert_allclose(found, [0.0, 0.0, 0.8, 1.2], atol=3e-3)

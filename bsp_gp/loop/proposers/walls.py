@@ -6,6 +6,7 @@ under a law that is far off.
 """
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from itertools import product
 
@@ -26,6 +27,8 @@ from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.physics.force import ForceLaw, Term, numbered
 
 STEMS = ("h", "e", "k", "tilt")
+PLAIN = 2
+"""Of these, those of a wall that is smooth and stands along an axis."""
 SLOWING = ("norm(v_i) * normalize(v_i)", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)")
 """What slows bodies between walls: linear and quadratic drag, friction."""
 LEAST_JUMPS = 2
@@ -164,15 +167,17 @@ def _proposals(view, groups, jumps_of, most):
     None gains more than `most`.
     """
     law, dataset, part = view.fit.law, view.dataset, view.hypothesis
-    names, walls = list(law.names), []
+    names, walls, plain = list(law.names), [], view.hypothesis
     for (axis, side), own in groups.items():
         mine = [numbered(stem, names) for stem in STEMS[: count_of(dataset)]]
         names += mine
         values = _values(own, axis)
         walls.append(wall_of(mine, axis, side, dataset.n_dims, values, extent_of(dataset)[1]))
         part = part + walls[-1]
+        smooth = mine[:PLAIN], axis, side, dataset.n_dims, values[:PLAIN]
+        plain = plain + wall_of(*smooth, extent_of(dataset)[1])
     resting = _resting(dataset, groups)
-    part = sum(resting, part)
+    part, plain = sum(resting, part), sum(resting, plain)
     every = [jump for own in groups.values() for jump in own]
     # All that is left: bodies that bounce are far from where the law would take them. Turns that it
     # explains, of a mass on a spring, are none of these.
@@ -196,14 +201,21 @@ def _proposals(view, groups, jumps_of, most):
             for form, name in zip(forms, strengths, strict=True)
         )
         starts = dict(zip(strengths, values, strict=True))
-        hypothesis = part + Forces(ForceLaw(tuple(map(Term, formulas)), starts)) if forms else part
-        out.append(Proposal(
-            "bounce", " + ".join([text, *map(to_text, formulas)]), hypothesis,
+        law = Forces(ForceLaw(tuple(map(Term, formulas)), starts)) if forms else None
+        whole, smooth = (each + law if forms else each for each in (part, plain))
+        proposal = Proposal(
+            "bounce", " + ".join([text, *map(to_text, formulas)]), whole,
             -(len(walls) + len(resting) + len(forms)) * view.criteria.cause_nats,
             gain - (left - least),
             rank + len(forms), kind="wall", is_sole=True, error=error, is_afresh=True,
             patience=PATIENT,  # contacts make many steps of a track
-        ))  # fmt: skip
+        )  # fmt: skip
+        if rank > PLAIN * len(walls):  # many numbers of many walls lead one another astray
+            less = replace(
+                proposal, hypothesis=smooth, rank=PLAIN * len(walls) + len(forms)
+            )
+            proposal = replace(proposal, instead=less)
+        out.append(proposal)
     return tuple(sorted(out, key=lambda proposal: -proposal.promise))
 
 
