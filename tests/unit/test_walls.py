@@ -324,7 +324,8 @@ def test_a_puck_in_a_box_meets_four_smooth_walls():
         speed = speed * (1 - 0.05 * step)
         place = place + speed * step
         for axis, end in enumerate((1.2, 0.8)):
-            if place[axis] * speed[axis] < 0 or (place[axis] > end and speed[axis] > 0):
+            beyond = place[axis] - np.clip(place[axis], 0.0, end)
+            if beyond * speed[axis] > 0:
                 speed[axis] *= -0.9
     places = np.array(places) + 1e-3 * np.random.default_rng(2).standard_normal((240, 2))
     data = Dataset.from_frames(
