@@ -20,6 +20,8 @@ _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
 _WHOLE = frozenset("absolute absolut abs magnitude betrag total norm".split())
 PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
+GRAVITIES = {"g": 9.80665, "G": 9.80665, "mg": 9.80665e-3}
+"""Units of accelerometers that elsewhere are others, m/s^2."""
 LONE = 0.1
 """Part of the variance of a gyroscope's axis that the others may have, if all turns about it; of
 an accelerometer's, if all moves along it."""
@@ -127,7 +129,9 @@ def _accelerations(table, declaration):
         return {}  # they say more
     found = [n for n in rest if _is(units[n], ACCELERATION)] or [
         n for n in rest  # `A_x` without a unit may be a place of A
-        if is_acceleration(theirs[n]) and not units[n] and not theirs[n].startswith("A_")
+        if is_acceleration(re.sub(r"\s*[\[(].*", "", theirs[n]))
+        and units[n] in ("", *GRAVITIES)
+        and not (theirs[n].startswith("A_") and not units[n])
     ]  # fmt: skip
     parts = [name for name in found if not _words(theirs[name]) & _WHOLE] or found
     axes = [_axis_in(theirs[name]) for name in parts]
@@ -199,6 +203,9 @@ def _scale(table, declaration, found, kind, order):
         )  # fmt: skip
     (text,) = texts
     of_turns = _RATE if order == 1 else _RATE / Unit.of(s=1)
+    if order == 2 and text in GRAVITIES:
+        value = GRAVITIES[text] / (parse_unit(said["length"])[0] if "length" in said else 1.0)
+        return value * clock, {} if "length" in said else dict.fromkeys(found, "m")
     if not (_is(text, _SPEED if order == 1 else ACCELERATION) or _is(text, of_turns)):
         return 1.0, {}
     is_turn, is_in_pixels = unit_of(text) == of_turns, "px" in text.lower()

@@ -87,6 +87,14 @@ def test_units_of_accelerations_and_of_time_count(table):
     np.testing.assert_allclose(one.scenes[0].times, two.scenes[0].times, atol=1e-9)
 
 
+@pytest.mark.parametrize("heading", ["Acceleration x (g)", "ax (g)", "Acc X (mg)"])
+def test_accelerations_in_units_of_gravity_are_no_masses(table, heading):
+    size = 9.80665e-3 if "mg" in heading else 9.80665
+    other = pd.DataFrame({"t (s)": table["t (s)"], heading: table["a (m/s^2)"] / size})
+    one, two = (Dataset.from_frames(frame) for frame in (table, other))
+    np.testing.assert_allclose(one.scenes[0].positions, two.scenes[0].positions, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     "names",
     [

@@ -35,8 +35,8 @@ class Blown:
         axes = moving_axes(view)
         if len(axes) < 2 or view.is_astronomical or not asks_series(view):
             return Family(self.name)
-        level = max(axes, key=lambda axis: _evenness(view, axis))
-        ways = [axes, [axis for axis in axes if axis != level]]
+        upright = max(axes, key=lambda axis: np.std(_speeds(view, axis)))  # where a weight pulls
+        ways = [axes, [axis for axis in axes if axis != upright]]
         libraries = [_library(view, axes, blowing) for blowing in ways]
         return family_of(self.name, view, [each for each in libraries if each], has_waves=False)
 
@@ -50,7 +50,7 @@ def _library(view, axes, blowing):
     past = Call("sub", velocity, reduce(lambda a, b: Call("add", a, b), parts))
     drag = Call("mul", Call("norm", past), past)
     rows = [(drag, NEW)] + [(coordinate_of(types, axis)[1], 0) for axis in axes]
-    fastest = [_fastest(view, axis) for axis in blowing]
+    fastest = [float(np.abs(_speeds(view, axis)).max()) or 1.0 for axis in blowing]
     extents = tuple((-most, most) for most in fastest)
     placed = Placed(view, rows, names, extents, STATE_INPUTS["v_i"].unit)
     first = np.concatenate([np.zeros((1, len(fastest))), 0.3 * np.diag(fastest)])
@@ -62,17 +62,8 @@ def _library(view, axes, blowing):
     return library and replace(library, largest=1 + MOST_PUSHES)
 
 
-def _seen(view, axis):
+def _speeds(view, axis):
     """Velocities along an axis at the instants at which forces are asked, (n,), m/s."""
     batches = view.response.regression.batches
     own = (b.velocities[:, :, b.bodies.receivers][b.valid.any(axis=-1)] for b in batches)
     return np.concatenate(list(own))[:, axis]
-
-
-def _fastest(view, axis):
-    return float(np.abs(_seen(view, axis)).max()) or 1.0
-
-
-def _evenness(view, axis):
-    """How much speeds along an axis spread: most where a weight pulls, and no wind blows."""
-    return float(np.std(_seen(view, axis)))

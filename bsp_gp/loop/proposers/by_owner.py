@@ -131,10 +131,8 @@ def _sum(view, first, own, column, height):
     other = f"{other}[{own.by}]"
     terms = Call("mul", Constant(one), first.form), Call("mul", Constant(other), own.form)
     table = dict(zip(own.keys, amounts[1:].tolist(), strict=True))
-    tables = {one: float(amounts[0])}, {other: table}
-    hypothesis = view.hypothesis
-    for term, table in zip(terms, tables, strict=True):
-        hypothesis = with_term(hypothesis, Term(term), table)
+    hypothesis = with_term(view.hypothesis, Term(terms[0]), {one: float(amounts[0])})
+    hypothesis = with_term(hypothesis, Term(terms[1]), {other: table})
     return Proposal(
         f"law_by_{own.by}", " + ".join(map(to_text, terms)), hypothesis,
         -own.cost - 2 * view.criteria.cause_nats, 2 * (first.together + height),
