@@ -8,9 +8,10 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from bsp_gp.data.conversion import is_unit, unit_of
-from bsp_gp.data.headings import is_acceleration, is_own_speed, is_rate
+from bsp_gp.data.headings import is_acceleration, is_doubt, is_own_speed, is_rate
 from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, Rates, summed
 from bsp_gp.errors import DataError
@@ -52,6 +53,7 @@ def from_rates(table, declaration):
         found = of_kind(table, declaration)
         if found:
             table = _without(table, set(_misnamed(table, declaration)) - set(found.values()))
+            table = _with_errors(table, found) if velocity == VELOCITIES else table
             return summed(table, declaration, _rates(table, declaration, found, velocity))
     return table, declaration
 
@@ -63,6 +65,30 @@ def _without(table, columns):
         table, frame=table.frame.drop(columns=list(left)), unused={**table.unused, **left},
         units={name: unit for name, unit in table.units.items() if name not in left},
         theirs={name: text for name, text in table.theirs.items() if name not in left},
+    )  # fmt: skip
+
+
+def _doubts(table, theirs):
+    """Columns that mean nothing to us by themselves, and say how sure something is."""
+    return [n for n in map(str, table.frame.columns) if n in table.unused and is_doubt(theirs[n])]
+
+
+def _with_errors(table, found):
+    """The table with the error of its one velocity under our name, where one column says it."""
+    theirs = {name: table.unused.get(name, name) for name in map(str, table.frame.columns)}
+    axes, doubts = list(found), _doubts(table, theirs)
+    if len(axes) != 1 or len(doubts) != 1 or f"sv{axes[0]}" in table.frame:
+        return table
+    error, unit = doubts[0], table.units.get(found[axes[0]], "")
+    if not pd.api.types.is_numeric_dtype(table.frame[error]):
+        return table
+    if table.units.get(error, unit) != unit:
+        return table
+    return replace(
+        table, frame=table.frame.rename(columns={error: f"sv{axes[0]}"}),
+        unused={name: text for name, text in table.unused.items() if name != error},
+        units={name: text for name, text in table.units.items() if name != error},
+        notes=(*table.notes, f"{theirs[error]!r} is taken as the error of the velocity"),
     )  # fmt: skip
 
 
@@ -94,9 +120,11 @@ def _velocities(table, declaration):
     others = [n for n in table.unused if n in columns and not is_own_speed(theirs[n])]
     if any(_is(units[n], _LENGTH) or _words(theirs[n]) & _ON_MAPS for n in others):
         return {}  # they may be the places
+    doubts = _doubts(table, theirs)
     named = [n for n in columns if n in table.unused and is_own_speed(theirs[n])]
     named = [n for n in named if not units[n] or unit_of(units[n]) == _SPEED]
-    speeds = named or [n for n in table.unused if n in columns and _is(units[n], _SPEED)]
+    of_unit = [n for n in table.unused if n in columns and _is(units[n], _SPEED)]
+    speeds = [n for n in named or of_unit if n not in doubts]
     turns = [n for n in table.unused if n in columns and _is_turn(theirs[n], units[n])]
     found = speeds or turns
     if len(found) > 1:

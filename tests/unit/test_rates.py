@@ -209,3 +209,12 @@ def test_tracks_that_are_too_short_are_named(rng):
     frame = two_bodies(rng).rename(columns={"entity": "scene"}).iloc[:43]
     data = Dataset.from_frames(frame, units={"t": "s"})
     assert any("fewer than 4 velocities are left out: b" in note for note in data.notes)
+
+
+@pytest.mark.parametrize("names", [("RV (m/s)", "sigma_RV (m/s)"), ("v (m/s)", "err_v (m/s)")])
+def test_the_error_of_a_velocity_is_no_second_one(table, names):
+    frame = table.set_axis(["t (s)", names[0]], axis=1).assign(**{names[1]: SIGMA})
+    data = Dataset.from_frames(frame)
+    assert NoiseModel.of(data).sources[0] == "quoted"
+    assert estimate_noise(data).sigma[0] == pytest.approx(SIGMA * STEP)
+    assert any("is taken as the error of the velocity" in note for note in data.notes)
