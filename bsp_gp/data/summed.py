@@ -85,17 +85,46 @@ def summed(table, declaration, rates):
     DataError
         Times are lost or do not increase; no track has four values.
     """
-    found, (one, many) = rates.columns, WHAT[rates.velocity]
+    found, (_, many) = rates.columns, WHAT[rates.velocity]
     times = numbers_of(table, "t") if "t" in table.frame else _of_frames(table, declaration)
     lost = np.isnan(times)
     if lost.any():
         fail_at(table, "empty cell or NaN where a time is needed", int(lost.argmax()), "t")
     values = np.stack([numbers_of(table, name) for name in found.values()], axis=1)
+    pieces, far = _pieces(table, times, values, rates)
+    if not any(pieces.values()):
+        raise DataError(
+            f"there are no places, and no track has four {many}", file=table.file,
+            column=next(iter(found.values())),
+        )  # fmt: skip
+    frame = pd.concat([
+        _track(table, times[part], values[part], part, rates)
+        .assign(**_named(table, part, k, len(parts)))
+        for parts in pieces.values() for k, part in enumerate(parts, 1)
+    ])  # fmt: skip
+    units = {name: unit for name, unit in table.units.items() if name not in found.values()}
+    units |= rates.units
+    if "t" not in table.frame and declaration.fps:
+        units["t"] = "s"
+    table = replace(
+        table, frame=frame, units=units, untimed="",
+        theirs={**table.theirs, **dict(zip(found, rates.headings, strict=True))},
+        unused={k: v for k, v in table.unused.items() if k not in found.values()},
+        notes=(*table.notes, *_notes(rates, pieces, far, len(times))),
+    )  # fmt: skip
+    said = {name: unit for name, unit in declaration.units.items() if name not in found.values()}
+    noise = _noise(declaration, times, rates)
+    return table, replace(declaration, velocity=rates.velocity, noise=noise, units=said)
+
+
+def _pieces(table, times, values, rates):
+    """Rows of the pieces of every track, by the track's name, and lines of what is far off."""
+    one, _ = WHAT[rates.velocity]
     keys = [name for name in ("scene", "entity") if name in table.frame]
     groups = table.frame.groupby(keys, sort=False, dropna=False).indices if keys else {
         "": np.arange(len(times))
     }  # fmt: skip
-    pieces, far, good = [], [], np.isfinite(values).all(axis=1)
+    far, good = [], np.isfinite(values).all(axis=1)
     for rows in groups.values():
         rows = rows[good[rows]]
         back = np.flatnonzero(np.diff(times[rows]) <= 0)
@@ -107,42 +136,22 @@ def summed(table, declaration, rates):
             far += table.frame.index[rows[is_far]].tolist()
             good[rows[is_far]] = False
     good &= _are_common(table, times, good)
-    for rows in groups.values():
-        parts = _parts(times, rows[good[rows]])
-        pieces.append([part for part in parts if len(part) >= LEAST_ROWS])
-    gone = [str(name) for name, parts in zip(groups, pieces, strict=True) if not parts]
-    if not any(pieces):
-        raise DataError(
-            f"there are no places, and no track has four {many}", file=table.file,
-            column=next(iter(found.values())),
-        )  # fmt: skip
-    frames = [
-        _track(table, times[part], values[part], part, rates)
-        .assign(**_named(table, part, k, len(parts)))
-        for parts in pieces for k, part in enumerate(parts, 1)
-    ]  # fmt: skip
-    frame = pd.concat(frames)
-    used = len(np.concatenate([part for parts in pieces for part in parts])) + len(far)
-    notes = [_told(rates, used < len(times), max(map(len, pieces)) > 1)]
+    parts = {name: _parts(times, rows[good[rows]]) for name, rows in groups.items()}
+    return {name: [p for p in own if len(p) >= LEAST_ROWS] for name, own in parts.items()}, far
+
+
+def _notes(rates, pieces, far, count):
+    """What is told of how places were made, of so many rows."""
+    _, many = WHAT[rates.velocity]
+    used = sum(len(part) for parts in pieces.values() for part in parts) + len(far)
+    yield _told(rates, used < count, max(map(len, pieces.values())) > 1)
+    gone = [str(name) for name, parts in pieces.items() if not parts]
     if gone:
-        notes.append(f"tracks with fewer than {LEAST_ROWS} {many} are left out: "
-                     + ", ".join(gone[:LISTED]))  # fmt: skip
+        listed = ", ".join(gone[:LISTED])
+        yield f"tracks with fewer than {LEAST_ROWS} {many} are left out: {listed}"
     if far:
         listed = ", ".join(map(str, far[:LISTED])) + (" ..." if len(far) > LISTED else "")
-        notes.append(f"{many} far off their neighbours are left out: {len(far)}, in line {listed}")
-    theirs = {**table.theirs, **dict(zip(found, rates.headings, strict=True))}
-    unused = {k: v for k, v in table.unused.items() if k not in found.values()}
-    units = {name: unit for name, unit in table.units.items() if name not in found.values()}
-    units |= rates.units
-    if "t" not in table.frame and declaration.fps:
-        units["t"] = "s"
-    table = replace(
-        table, frame=frame, units=units, theirs=theirs, unused=unused,
-        untimed="", notes=(*table.notes, *notes),
-    )  # fmt: skip
-    said = {name: unit for name, unit in declaration.units.items() if name not in found.values()}
-    noise = _noise(declaration, times, rates)
-    return table, replace(declaration, velocity=rates.velocity, noise=noise, units=said)
+        yield f"{many} far off their neighbours are left out: {len(far)}, in line {listed}"
 
 
 def _told(rates, is_short, is_split):
