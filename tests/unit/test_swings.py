@@ -159,3 +159,31 @@ def test_bodies_that_swing_at_rates_of_their_own_are_asked_for_a_spring_of_each(
     np.testing.assert_allclose(told, periods, rtol=2e-3)
     assert found.noise.levels[0] < 0.25 * 7.1492e7
 
+
+
+def logged_angle(amplitude, rng):
+    """A pendulum's angle with rows that are lost, as a sensor logs it."""
+    times = np.arange(300) / 20
+    angle = solve_ivp(
+        lambda _, s: [s[1], -12 * np.sin(s[0]) - 0.1 * s[1]], (0, times[-1]), [amplitude, 0.0],
+        t_eval=times, rtol=1e-9,
+    ).y[0]  # fmt: skip
+    kept = rng.random(300) > 0.15
+    kept[100:130] = False
+    degrees = np.degrees(angle) + 0.3 * rng.standard_normal(300)
+    return bsp_gp.Dataset.from_frames(
+        pd.DataFrame({"t (s)": times[kept], "Angle (deg)": degrees[kept]}),
+        properties={"mass": "1[kg]"},
+    )
+
+
+def test_an_angle_is_asked_for_a_weight_on_an_arm_as_well():
+    """A power of the angle and a kick were told where rows were missing."""
+    data = logged_angle(0.9, np.random.default_rng(0))
+    family = proposed(data)
+    (sine,) = (p for p in family.proposals if "sin(" in p.text)
+    found = sine.fitted(view_of(data).fit, data, criteria=view_of(data).criteria)
+    values = {p: v for (p, _), v in zip(found.parameters, found.values, strict=True)}
+    assert found.chi2_red < 1.3
+    assert values["c1"] == pytest.approx(-12.0, rel=0.03)
+    assert values["D1"] == pytest.approx(1.0, abs=0.02)

@@ -24,6 +24,8 @@ SPRING = "centre - p_i"
 """The form of the grammar that drives back to a place."""
 LONG = "(norm(centre - p_i) - D) * normalize(centre - p_i)"
 """The same of a spring that has a length, tied to a post."""
+SINE = "sin((x_i - h_x) / D) * e_x"
+"""What drives an angle back: a weight on an arm."""
 SHARE = 0.05
 """Length of such a spring in the extent of the tracks, at which a fit begins."""
 MOST_BODIES = 12
@@ -47,6 +49,7 @@ class Swings:
         self.grammar = inside.grammar
         known = {to_text(form.term.formula): form for form in inside.forms}
         self.forms = [known[text] for text in (SPRING, LONG) if text in known]
+        self.of_angles = [known[SINE]] if SINE in known else []
 
     def propose(self, view):
         """The family of those laws, where bodies swing without a cause, each at a rate of its own.
@@ -69,7 +72,8 @@ class Swings:
         if swing_of(view.fit, foreseen=True):
             return Family(self.name)
         search = inner_search(view, self.grammar, view.moment_draws)
-        forms = [f for f in self.forms if search.axes_of(f) is not None]
+        own = self.of_angles if view.dataset.units.is_angle else []
+        forms = [f for f in self.forms + own if search.axes_of(f) is not None]
         if is_alone:
             proposals = tuple(_slowed(view, search, form, rates[None]) for form in forms)
         else:
@@ -82,12 +86,17 @@ def _about(view, search, form):
     scenes = view.dataset.scenes
     places = np.concatenate([s.positions[:, k] for s in scenes for k in s.dynamic])
     middle, extent = np.nanmean(places, axis=0), float(np.nanmax(np.nanstd(places, axis=0)))
+    size = 1.0 if _is_sine(form) else SHARE * extent  # rad
     at = [
-        middle["xyz".index(axis.name.removeprefix(PLACE))] if axis.name.startswith(PLACE)
-        else math.log(SHARE * extent)
+        middle["xyz".index(axis.name[-1])] if axis.name.startswith((PLACE, "h_"))
+        else math.log(size)
         for axis in search.axes_of(form)
     ]  # fmt: skip
     return form_at(view, search, form, at)
+
+
+def _is_sine(form):
+    return to_text(form.term.formula) == SINE
 
 
 def _apart(view, search, form, rates):
@@ -116,7 +125,11 @@ def _slowed(view, search, form, rate):
     spring, scenes = _about(view, search, form), view.dataset.scenes
     mass = _mass(scenes)
     strength = next(iter(spring.formulas[0].constants))
-    spring = replace(spring, starts=spring.starts | {strength: mass * rate**2})
+    stiffness = mass * rate**2
+    if _is_sine(form):  # which swings the more slowly the wider it does
+        wide = [np.nanvar(s.positions[:, s.dynamic]) * s.positions.shape[2] for s in scenes]
+        stiffness *= -(1 + max(wide) / 4)
+    spring = replace(spring, starts=spring.starts | {strength: stiffness})
     law = spring.hypothesis.law
     name = fresh_name(law, "c")
     slowing = Call("mul", Constant(name), Input("v_i", dataset_types(view.dataset)["v_i"]))
