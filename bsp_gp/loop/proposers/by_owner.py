@@ -104,8 +104,10 @@ class _Asked:
 def _sums(view, asked, least):
     """Laws of one strength for all and one of a strength for each owner: a weight, and drags.
 
-    Such a sum is none of what noise alone is asked for, so that it cannot make it speak.
+    Of what acts on bodies alone. Such a sum is none of what noise alone is asked for, so that it
+    cannot make it speak.
     """
+    asked = [one for one in asked if not {"p_j", "v_j"} & set(one.form.inputs)]
     alike = sorted({one.form: one for one in asked}.values(), key=lambda one: -one.together)
     for first in alike[:MOST_SHARED]:
         column = first.columns.sum(axis=1, keepdims=True)

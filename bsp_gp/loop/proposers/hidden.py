@@ -94,11 +94,11 @@ class Hidden(Sources):
             for k in apart(unit, gains):
                 proposals += stage.proposals(terms, *stage.closer(terms, k))
         family = self.family(proposals, null, n_tried)
-        if view.fit.law.terms or not family.gain > MOST * float(view.left @ view.left):
-            return family
-        # Of orbits with few rows a turn moments tell all but the power: who goes round something
-        # is fitted, whatever sums of other forms promise beside it.
-        return replace(family, proposals=family.proposals[:N_STARTS], is_control=True)
+        most = MOST * float(view.left @ view.left)
+        # Of orbits with few rows a turn moments tell all but the power: who goes round what nobody
+        # sees is fitted as that, whatever sums of other forms promise.
+        is_orbit = not view.fit.law.terms and family.gain > most > view.explained
+        return replace(family, is_control=is_orbit)
 
 
 def pulls_of(view, strength):
