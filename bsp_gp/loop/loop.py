@@ -431,7 +431,8 @@ class _Turn:
             ((f.name, p) for f in self.families for p in f.proposals),
             key=lambda pair: -pair[1].promise,
         )
-        controls = [(f.name, p) for f in self.families if f.is_control for p in f.proposals]
+        controls = [(f.name, p) for f in self.families for p in f.controls]
+        apart = {f.name for f in self.families if f.is_control}  # of no promise like others
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
         clear += [f.name for f in self.families if f.is_led and clear]
         chosen = [p for p in _chosen(every, clear, self.run.criteria) if p not in controls]
@@ -493,7 +494,7 @@ class _Turn:
                 self._note_gain(row, proposal, self.measure.get(source, False))
             if was_open and self.explained:
                 queue += self._better(every, queue)
-            if row.is_fit and (source, proposal) not in controls:
+            if row.is_fit and source not in apart:
                 own = row.log_posterior - proposal.promise, row.log_likelihood - 0.5 * proposal.gain
                 known = above.setdefault(source, {}).get(proposal.rank, own)
                 above[source][proposal.rank] = tuple(map(max, own, known))

@@ -195,6 +195,8 @@ class Family:
         Whether what was tried runs through a continuum.
     is_control : bool
         Whether all of it is fitted whatever it promises: what others must be better than.
+    is_led_by_control : bool
+        The same of its first proposal alone.
     n_tried : int
     is_partial : bool
         Whether the time was up before all was tried.
@@ -214,6 +216,12 @@ class Family:
     n_tried: int = 0
     is_partial: bool = False
     is_led: bool = False
+    is_led_by_control: bool = False
+
+    @property
+    def controls(self):
+        """What is fitted whatever it promises, tuple of Proposal."""
+        return self.proposals[: None if self.is_control else int(self.is_led_by_control)]
 
 
 def both_of(first, second):

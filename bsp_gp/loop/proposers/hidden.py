@@ -97,8 +97,8 @@ class Hidden(Sources):
         most = MOST * float(view.left @ view.left)
         # Of orbits with few rows a turn moments tell all but the power: who goes round what nobody
         # sees is fitted as that, whatever sums of other forms promise.
-        is_orbit = not view.fit.law.terms and family.gain > most > view.explained
-        return replace(family, is_control=is_orbit)
+        is_orbit = not view.fit.law.terms and family.gain > most
+        return replace(family, is_led_by_control=is_orbit)
 
 
 def pulls_of(view, strength):
