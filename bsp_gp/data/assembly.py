@@ -28,8 +28,7 @@ from bsp_gp.data.roster import (
     require_columns,
     vector_stems,
 )
-from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Entity, FirstState, Scene
-from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES
+from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SUMS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
 
@@ -256,7 +255,7 @@ def axes_of(table, declaration):
     angle = declaration.units.get("length", table.units.get(axes[0], ""))
     known = {*NUMBER_COLUMNS, *TEXT_COLUMNS, *WITHIN, *inputs_of(table, declaration)}
     # Who says which column is one of them would say which is the other.
-    is_summed = declaration.velocity in (VELOCITIES, ACCELERATIONS)  # all that there is of them
+    is_summed = declaration.velocity in SUMS  # all that there is of them
     is_whole = is_angle(angle) or axes[0] in declaration.columns or is_summed
     rest = [] if is_whole else [column for column in columns if column not in known]
     doubtful = [column for column in rest if _may_be_place(table, column, axes[0])]

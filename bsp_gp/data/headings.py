@@ -285,6 +285,12 @@ def is_doubt(text):
     return bool(_words(text) & _DOUBT_WORDS)
 
 
+def is_error_of(text, of):
+    """Whether a heading is that of the error of another: ``sigma_RV`` beside ``RV``, or ``err``."""
+    match = _ERROR_OF.fullmatch(_letters(text))
+    return match is not None and (match[1] or match[2] or "") in ("", _letters(of))
+
+
 def is_own_speed(text):
     """Whether a heading speaks of how fast the body itself is, and of nothing else's speed."""
     words = _words(text) - {""}
@@ -511,7 +517,12 @@ def _with_errors(found):
 def _plain(heading):
     """The letters of a heading, without its run and its unit at the end."""
     text = heading.of_any_run
-    text = re.sub(r"\s*[(\[{<][^()\[\]{}<>]*[)\]}>]$", "", text) if heading.unit else text
+    return _letters(text) if heading.unit else re.sub(r"[\s_.-]", "", text).lower()
+
+
+def _letters(text):
+    """The letters of a heading without a unit in brackets at its end."""
+    text = re.sub(r"\s*[(\[{<][^()\[\]{}<>]*[)\]}>]$", "", text)
     return re.sub(r"[\s_.-]", "", text).lower()
 
 

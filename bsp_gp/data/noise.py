@@ -117,7 +117,7 @@ def estimate_noise(data):
     if not any(len(scene.dynamic) for scene in scenes):
         raise DataError("no entity is dynamic, so there is no motion to explain")
     n_dims = scenes[0].n_dims
-    tracks = [_tracks(scenes, axis, _step(data)) for axis in range(n_dims)]
+    tracks = [_tracks(scenes, axis, _summing(data)) for axis in range(n_dims)]
     is_active = [any(np.ptp(x) > 0 for _, x in tracks[axis]) for axis in range(n_dims)]
     span = [_span(tracks[axis]) for axis in range(n_dims)]
     quoted = [_quoted(scenes, axis) for axis in range(n_dims)]
@@ -167,11 +167,11 @@ def finest_noise(data):
         that of a declared value is the latter alone.
     """
     scenes = data.scenes if isinstance(data, Dataset) else tuple(data)
-    tracks = [_tracks(scenes, axis, _step(data)) for axis in range(scenes[0].n_dims)]
+    tracks = [_tracks(scenes, axis, _summing(data)) for axis in range(scenes[0].n_dims)]
     return tuple(_grid_steps(tracks)), tuple(FLOOR * _span(axis) for axis in tracks)
 
 
-def _step(data):
+def _summing(data):
     """Interval between rows of places that are sums, and how often they were added up; or zeros."""
     is_summed = isinstance(data, Dataset) and data.is_summed
     return (data.typical_step, data.n_sums) if is_summed else (0.0, 0)

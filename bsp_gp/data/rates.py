@@ -11,9 +11,16 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.conversion import is_unit, unit_of
-from bsp_gp.data.headings import is_acceleration, is_doubt, is_own_speed, is_rate
+from bsp_gp.data.headings import (
+    is_acceleration,
+    is_doubt,
+    is_error_of,
+    is_own_speed,
+    is_rate,
+)
 from bsp_gp.data.roster import numbers_of
-from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, Rates, summed
+from bsp_gp.data.scene import SUMS
+from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, summed
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit, parse_unit
 
@@ -68,27 +75,24 @@ def _without(table, columns):
     )  # fmt: skip
 
 
-def _doubts(table, theirs):
-    """Columns that mean nothing to us by themselves, and say how sure something is."""
-    return [n for n in map(str, table.frame.columns) if n in table.unused and is_doubt(theirs[n])]
-
-
 def _with_errors(table, found):
     """The table with the error of its one velocity under our name, where one column says it."""
-    theirs = {name: table.unused.get(name, name) for name in map(str, table.frame.columns)}
-    axes, doubts = list(found), _doubts(table, theirs)
-    if len(axes) != 1 or len(doubts) != 1 or f"sv{axes[0]}" in table.frame:
+    (axis, own), *more = found.items()
+    unit, heading = table.units.get(own, ""), table.unused.get(own, own)
+    errors = [
+        name for name, text in table.unused.items()
+        if name in table.frame and is_error_of(text, heading)
+        and table.units.get(name, unit) == unit
+        and pd.api.types.is_numeric_dtype(table.frame[name])
+    ]  # fmt: skip
+    if more or len(errors) != 1 or f"sv{axis}" in table.frame:
         return table
-    error, unit = doubts[0], table.units.get(found[axes[0]], "")
-    if not pd.api.types.is_numeric_dtype(table.frame[error]):
-        return table
-    if table.units.get(error, unit) != unit:
-        return table
+    (error,) = errors
     return replace(
-        table, frame=table.frame.rename(columns={error: f"sv{axes[0]}"}),
+        table, frame=table.frame.rename(columns={error: f"sv{axis}"}),
         unused={name: text for name, text in table.unused.items() if name != error},
         units={name: text for name, text in table.units.items() if name != error},
-        notes=(*table.notes, f"{theirs[error]!r} is taken as the error of the velocity"),
+        notes=(*table.notes, f"{table.unused[error]!r} is taken as the error of the velocity"),
     )  # fmt: skip
 
 
@@ -101,6 +105,13 @@ def _misnamed(table, declaration):
     return units if len(same) == 1 and None not in same else {}
 
 
+def _of_sensor(table, declaration, is_kind):
+    """Axis -> column x, y or z of a sensor of one kind; the lone one if all goes along that."""
+    axes = [axis for axis, unit in _misnamed(table, declaration).items() if is_kind(unit)]
+    lone = _lone(table, axes)
+    return {"x": lone[0]} if len(lone) == 1 else {axis: axis for axis in axes}
+
+
 def _is_rate(unit):
     return _is(unit, ACCELERATION) or _is_turn("", unit)
 
@@ -111,32 +122,25 @@ def _velocities(table, declaration):
     known = {axis: f"v{axis}" for axis in "xyz" if f"v{axis}" in columns}
     if known:
         return known
-    turned = [n for n, unit in _misnamed(table, declaration).items() if _is_turn("", unit)]
+    turned = _of_sensor(table, declaration, lambda unit: _is_turn("", unit))
     if turned:
-        lone = _lone(table, turned)
-        return {"x": lone[0]} if len(lone) == 1 else dict(zip(turned, turned, strict=True))
+        return turned
     units = {name: declaration.units.get(name, table.units.get(name, "")) for name in columns}
     theirs = {name: table.theirs.get(name, table.unused.get(name, name)) for name in columns}
     others = [n for n in table.unused if n in columns and not is_own_speed(theirs[n])]
     if any(_is(units[n], _LENGTH) or _words(theirs[n]) & _ON_MAPS for n in others):
         return {}  # they may be the places
-    doubts = _doubts(table, theirs)
     named = [n for n in columns if n in table.unused and is_own_speed(theirs[n])]
     named = [n for n in named if not units[n] or unit_of(units[n]) == _SPEED]
     of_unit = [n for n in table.unused if n in columns and _is(units[n], _SPEED)]
-    speeds = [n for n in named or of_unit if n not in doubts]
+    speeds = named or [n for n in of_unit if not is_doubt(theirs[n])]
     turns = [n for n in table.unused if n in columns and _is_turn(theirs[n], units[n])]
     found = speeds or turns
     if len(found) > 1:
         parts = [n for n in found if not _words(theirs[n]) & _WHOLE]
         found = _lone(table, parts) if found is turns else parts
     if len(found) > 1:
-        names = ", ".join(theirs[n] for n in found)
-        raise DataError(
-            f"there are no places, and several columns may be the velocity: {names}",
-            file=table.file, column="vx",
-            remedy=f'say which is: --columns vx="{theirs[found[0]]}" (and vy=, vz=)',
-        )  # fmt: skip
+        _refuse_several(table, [theirs[n] for n in found], VELOCITIES)
     return {"x": found[0]} if found else {}
 
 
@@ -146,10 +150,9 @@ def _accelerations(table, declaration):
     known = {axis: f"a{axis}" for axis in "xyz" if f"a{axis}" in declaration.columns}
     if known:
         return known
-    known = {n: n for n, u in _misnamed(table, declaration).items() if _is(u, ACCELERATION)}
-    if known:
-        lone = _lone(table, list(known))
-        return {"x": lone[0]} if len(lone) == 1 else known
+    pushed = _of_sensor(table, declaration, lambda unit: _is(unit, ACCELERATION))
+    if pushed:
+        return pushed
     units = {name: declaration.units.get(name, table.units.get(name, "")) for name in columns}
     theirs = {name: table.theirs.get(name, table.unused.get(name, name)) for name in columns}
     rest = [name for name in columns if name in table.unused]
@@ -167,13 +170,19 @@ def _accelerations(table, declaration):
     if len(lone) == 1:
         return {"x": lone[0]}
     if len(set(axes) - {""}) < len(axes):
-        names = ", ".join(theirs[n] for n in parts)
-        raise DataError(
-            f"there are no places, and several columns may be the acceleration: {names}",
-            file=table.file, column="ax",
-            remedy=f'say which is: --columns ax="{theirs[parts[0]]}" (and ay=, az=)',
-        )  # fmt: skip
+        _refuse_several(table, [theirs[n] for n in parts], ACCELERATIONS)
     return dict(sorted(zip(axes, parts, strict=True)))
+
+
+def _refuse_several(table, headings, velocity):
+    """DataError where it is not known which column is the velocity, or the acceleration."""
+    one, _ = WHAT[velocity]
+    x, y, z = (one[0] + axis for axis in "xyz")
+    raise DataError(
+        f"there are no places, and several columns may be the {one}: {', '.join(headings)}",
+        file=table.file, column=x,
+        remedy=f'say which is: --columns {x}="{headings[0]}" (and {y}=, {z}=)',
+    )  # fmt: skip
 
 
 def _axis_in(text):
@@ -208,23 +217,21 @@ def _lone(table, columns):
 
 def _rates(table, declaration, found, velocity):
     """What columns are added up, in which units."""
-    order, kind = (1, "velocity") if velocity == VELOCITIES else (2, "acceleration")
     headings = tuple(table.theirs.get(n, table.unused.get(n, n)) for n in found.values())
-    scale, units = _scale(table, declaration, found, kind, order)
+    scale, units = _scale(table, declaration, found, velocity)
     return Rates(found, velocity, scale, units, headings)
 
 
-def _scale(table, declaration, found, kind, order):
+def _scale(table, declaration, found, velocity):
     """Place per value and (squared) time in numbers, and units of the places."""
-    said = declaration.units
-    plain = said.get(kind, "")
+    said, order, (one, many) = declaration.units, SUMS[velocity], WHAT[velocity]
+    plain = said.get(one, "")
     texts = {said.get(n, plain or table.units.get(n, "")) for n in found.values()} - {""}
     time = said.get("t", said.get("time", table.units.get("t", "s")))
     clock = (parse_unit(time)[0] if is_unit(time) and "t" in table.frame else 1.0) ** order
     if not texts:
         return clock, {}  # what has no unit is per second
     if len(texts) > 1:
-        many = "velocities" if order == 1 else "accelerations"
         raise DataError(
             f"{many} have different units: {', '.join(sorted(texts))}", file=table.file,
             column=next(iter(found.values())), remedy="give all of them in one",

@@ -16,6 +16,8 @@ import numpy as np
 from bsp_gp.errors import DataError
 from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem
 
+SUMS = {"only": 1, "unseen": 2}
+"""What `Dataset.velocity` is where places are sums, and how often was added up."""
 CHECK = "check: "
 """Beginning of the notes that doubt the data or the law: every account of a result shows them."""
 SHAPES = ("point", "disc", "rect_wall", "rect_mat")
@@ -413,7 +415,7 @@ class Dataset:
     @property
     def n_sums(self):
         """How often was added up what was measured: velocities once, accelerations twice."""
-        return {"only": 1, "unseen": 2}.get(self.velocity, 0)
+        return SUMS.get(self.velocity, 0)
 
     @cached_property
     def typical_step(self):

@@ -17,9 +17,10 @@ from scipy.sparse.linalg import spsolve
 
 from bsp_gp.data.point_errors import gross_errors
 from bsp_gp.data.roster import fail_at, numbers_of
+from bsp_gp.data.scene import SUMS
 from bsp_gp.errors import DataError
 
-VELOCITIES, ACCELERATIONS = "only", "unseen"
+VELOCITIES, ACCELERATIONS = SUMS
 """``[columns] velocity``: places are sums of velocities that alone were measured; these are sums
 themselves, of measured accelerations."""
 WHAT = {VELOCITIES: ("velocity", "velocities"), ACCELERATIONS: ("acceleration", "accelerations")}
@@ -68,7 +69,7 @@ class Rates:
     @property
     def order(self):
         """How often values are added up."""
-        return 1 if self.velocity == VELOCITIES else 2
+        return SUMS[self.velocity]
 
 
 def summed(table, declaration, rates):

@@ -17,8 +17,9 @@ from bsp_gp.fitting.whitening import Adding, whitener_of
 
 KNOWN = ("quoted", "declared")
 ANYWHERE = {1: 100.0, 2: 1.0}
-"""Extents of tracks by which places that were added up may begin elsewhere; of sums of sums the
-same is what they may go in one step, which is anything."""
+"""Extents of tracks by which places that were added up may begin elsewhere. Sums of sums may go as
+far in one step, which is at any speed; beside what rows weigh there more would be lost to rounding.
+"""
 ADDED = {1: ("m/s", "velocities"), 2: ("m/s^2", "accelerations")}
 """Unit and name of what is added up to places, by how often."""
 

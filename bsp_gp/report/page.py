@@ -191,30 +191,29 @@ def _parts(effect, law, other):
     """Each of several forces that were found as one, in plain words; one, if along several axes."""
     if effect.code in (*KICKED, "reference"):  # one force along every axis, or by every body
         return ()
-    added = {c.name: c.value for c in effect.constants}
-    terms = [t for t in law.terms if not t.is_declared and set(t.formula.constants) & set(added)]
-    if effect.formula is not None or not effect.law or len(terms) < 2:
+    if effect.formula is not None or not effect.law:
         return ()
-    return _phrases(terms, added, effect, other)
+    phrases, n_terms = _phrases(effect, law, other)
+    return phrases if n_terms > 1 else ()
 
 
 def _beside(effect, law, other):
     """In plain words, the forces that were found with what holds bodies or stops them."""
     if effect.kind not in ("constraint", "wall"):
         return ()
+    return _phrases(effect, law, other)[0]
+
+
+def _phrases(effect, law, other):
+    """The terms that an effect adds in plain words, those along axes as one; how many they are."""
     added = {c.name: c.value for c in effect.constants}
     terms = [t for t in law.terms if not t.is_declared and set(t.formula.constants) & set(added)]
-    return _phrases(terms, added, effect, other)
-
-
-def _phrases(terms, added, effect, other):
-    """Terms in plain words, those along several axes as one."""
     values = [next((added[n] for n in t.formula.constants if n in added), None) for t in terms]
     own = [[e for e in effect.exponents if e["term"] == to_text(t.formula)] for t in terms]
     every = zip(terms, values, own, strict=True)
     told = [describe(t.formula, v, other, exponents) + _strengths(t.formula)
             for t, v, exponents in every]  # fmt: skip
-    return along_one_line(told, values)
+    return along_one_line(told, values), len(terms)
 
 
 def _strengths(formula):

@@ -218,3 +218,12 @@ def test_the_error_of_a_velocity_is_no_second_one(table, names):
     assert NoiseModel.of(data).sources[0] == "quoted"
     assert estimate_noise(data).sigma[0] == pytest.approx(SIGMA * STEP)
     assert any("is taken as the error of the velocity" in note for note in data.notes)
+
+
+@pytest.mark.parametrize("heading", ["hdop", "quality", "fit (m/s)"])
+def test_what_says_how_sure_a_place_is_or_is_a_fit_is_no_error_of_a_velocity(table, heading):
+    """A column of hdop had been taken for the error of the speed beside it, in m/s."""
+    frame = table.set_axis(["t (s)", "Speed (m/s)"], axis=1).assign(**{heading: 1.1})
+    data = Dataset.from_frames(frame)
+    assert NoiseModel.of(data).sources[0] == "estimated"
+    assert not any("error of the velocity" in note for note in data.notes)

@@ -10,6 +10,7 @@ from bsp_gp.language.formula import Call, Constant, Formula, factors, quotient
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.laws import SAME, declared_directions, is_along
+from bsp_gp.loop.proposers.libraries import SEPARATE
 from bsp_gp.loop.proposers.varying import columns_by, owners
 from bsp_gp.physics.force import Term, fresh_name, fresh_names, split_linear
 from bsp_gp.search.columns import orthonormal
@@ -18,8 +19,6 @@ FEWEST = 3
 """Scenes, or bodies, of which numbers of their own are no mere pair."""
 MOST_SHARED, MOST_OWNERS = 3, 12
 """Laws of one strength for all beside which one of a strength for each is asked for, and owners."""
-APART = 0.02
-"""Part of a law that must lie beside one with a constant of each owner to be another one."""
 SIZES = np.geomspace(1e-3, 1e3, 49)
 """Spreads of the numbers that are tried, in their typical standard error."""
 
@@ -118,7 +117,7 @@ def _sums(view, asked, least):
                 continue
             basis = orthonormal(view.beside(own.columns), len(column))
             rest = beside - basis @ (basis.T @ beside)
-            if not np.linalg.norm(rest) > APART * np.linalg.norm(beside):
+            if not np.linalg.norm(rest) > SEPARATE * np.linalg.norm(beside):
                 continue  # numbers of the owners make it up
             height = evidence_of(view, own.columns, taken)
             if height - evidence_of(view, own.columns.sum(axis=1, keepdims=True), taken) > least:

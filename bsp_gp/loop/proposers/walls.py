@@ -167,15 +167,14 @@ def _proposals(view, groups, jumps_of, most):
     None gains more than `most`.
     """
     law, dataset, part = view.fit.law, view.dataset, view.hypothesis
-    names, walls, plain = list(law.names), [], view.hypothesis
+    names, walls, plain, extent = list(law.names), [], view.hypothesis, extent_of(dataset)[1]
     for (axis, side), own in groups.items():
         mine = [numbered(stem, names) for stem in STEMS[: count_of(dataset)]]
         names += mine
         values = _values(own, axis)
-        walls.append(wall_of(mine, axis, side, dataset.n_dims, values, extent_of(dataset)[1]))
+        walls.append(wall_of(mine, axis, side, dataset.n_dims, values, extent))
         part = part + walls[-1]
-        smooth = mine[:PLAIN], axis, side, dataset.n_dims, values[:PLAIN]
-        plain = plain + wall_of(*smooth, extent_of(dataset)[1])
+        plain = plain + wall_of(mine[:PLAIN], axis, side, dataset.n_dims, values[:PLAIN], extent)
     resting = _resting(dataset, groups)
     part, plain = sum(resting, part), sum(resting, plain)
     every = [jump for own in groups.values() for jump in own]
@@ -201,8 +200,8 @@ def _proposals(view, groups, jumps_of, most):
             for form, name in zip(forms, strengths, strict=True)
         )
         starts = dict(zip(strengths, values, strict=True))
-        law = Forces(ForceLaw(tuple(map(Term, formulas)), starts)) if forms else None
-        whole, smooth = (each + law if forms else each for each in (part, plain))
+        more = [Forces(ForceLaw(tuple(map(Term, formulas)), starts))] if forms else []
+        whole, smooth = sum(more, part), sum(more, plain)
         proposal = Proposal(
             "bounce", " + ".join([text, *map(to_text, formulas)]), whole,
             -(len(walls) + len(resting) + len(forms)) * view.criteria.cause_nats,
@@ -211,9 +210,7 @@ def _proposals(view, groups, jumps_of, most):
             patience=PATIENT,  # contacts make many steps of a track
         )  # fmt: skip
         if rank > PLAIN * len(walls):  # many numbers of many walls lead one another astray
-            less = replace(
-                proposal, hypothesis=smooth, rank=PLAIN * len(walls) + len(forms)
-            )
+            less = replace(proposal, hypothesis=smooth, rank=PLAIN * len(walls) + len(forms))
             proposal = replace(proposal, instead=less)
         out.append(proposal)
     return tuple(sorted(out, key=lambda proposal: -proposal.promise))

@@ -107,13 +107,19 @@ def _against(view, terms, stem):
 
     Along axes on which something moves: nothing is told of others.
     """
+    names, past = past_medium(view, _moving(view), stem)
+    past = {_VELOCITY: past}
+    return names, [(k, Term(substitute(t.formula, past), t.kind)) for k, t in terms]
+
+
+def past_medium(view, axes, stem):
+    """Names of the components of a velocity along some axes, and the velocity of a body past it."""
     names, medium = [], None
-    for axis in _moving(view):
+    for axis in axes:
         names.append(fresh_name(view.fit.law, f"{stem}_{axis}"))
         part = Call("mul", Constant(names[-1]), Input(f"e_{axis}", STATE_INPUTS[f"e_{axis}"]))
         medium = part if medium is None else Call("add", medium, part)
-    past = {_VELOCITY: Call("sub", _VELOCITY, medium)}
-    return names, [(k, Term(substitute(t.formula, past), t.kind)) for k, t in terms]
+    return names, Call("sub", _VELOCITY, medium)
 
 
 def _moving(view):
@@ -193,14 +199,14 @@ def _softened(view, term):
     """
     (way,) = [part for part in factors(term.formula)[0] if "v_i" in part.inputs]
     unit = STATE_INPUTS["v_i"].unit
-    speed = np.sqrt(np.square(_seen(view)).sum(axis=1).mean())
+    speed = np.sqrt(np.square(velocities_seen(view)).sum(axis=1).mean())
     least = Number(float(SOFT * speed), unit)
     size = Call("add", Call("square", Call("norm", way.args[0])), Call("square", least))
     soft = Call("div", way.args[0], Call("sqrt", size))
     return Term(substitute(term.formula, {way: soft}), term.kind)
 
 
-def _seen(view):
+def velocities_seen(view):
     """Velocities of the bodies at the instants at which forces are asked, (n, d)."""
     batches = view.response.regression.batches
     own = (b.velocities[:, :, b.bodies.receivers][b.valid.any(axis=-1)] for b in batches)
@@ -212,7 +218,7 @@ def _velocities(view):
 
     They go through the range of those of the bodies and somewhat beyond, and closer about rest.
     """
-    seen = _seen(view)[:, np.isfinite(view.fit.noise.levels)]
+    seen = velocities_seen(view)[:, np.isfinite(view.fit.noise.levels)]
     low, high = seen.min(axis=0), seen.max(axis=0)
     count, more = COUNTS[seen.shape[1]], BEYOND * (high - low)
     for part in (1.0, SLOWLY):
