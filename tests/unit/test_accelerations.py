@@ -12,6 +12,7 @@ from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.simulated import draw_noise
 from bsp_gp.fitting.whitening import Adding, SummedWhitener
+from tests.sensors import swung
 
 SIGMA, STEP, ZERO = 0.02, 0.02, 0.05
 
@@ -19,9 +20,7 @@ SIGMA, STEP, ZERO = 0.02, 0.02, 0.05
 def swinging(rng, n=500):
     """Accelerations of a damped bob, x'' = -25 x - 0.1 x', of a sensor that shows more at rest."""
     t = np.arange(n) * STEP
-    rate = -0.05 + 1j * np.sqrt(25 - 0.05**2)
-    exact = (0.1 * rate**2 * np.exp(rate * t)).real
-    return t, exact + ZERO + SIGMA * rng.standard_normal(n)
+    return t, ZERO + swung(t, 0.1, 25.0, 2, SIGMA, rng)
 
 
 @pytest.fixture

@@ -84,6 +84,13 @@ def test_a_cause_that_changes_nothing_stays_where_nothing_is_left(world):
     assert first.decision.is_adopted and not second.decision.is_adopted
 
 
+def test_a_cause_that_changes_nothing_stays_where_all_that_is_left_is_noise(world):
+    same = [GRAVITY], [GRAVITY, "1e-9 [m/s^2] * m_i * e_x"]
+    left = Decision("the noise is not as assumed", "noise_explains")
+    first, second = looked_at(world, same, end=left)
+    assert first.decision.is_adopted and not second.decision.is_adopted
+
+
 def test_what_came_before_a_cause_that_changes_nothing_stays(world):
     good, same = ([GRAVITY, PUSH], [GRAVITY]), ([GRAVITY], [GRAVITY, "1e-9 [m/s^2] * m_i * e_x"])
     first, second = looked_at(world, good, same)

@@ -12,6 +12,7 @@ from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.simulated import draw_noise
 from bsp_gp.fitting.whitening import Adding, SummedWhitener
+from tests.sensors import swung
 
 SIGMA, STEP = 0.01, 0.04
 
@@ -19,8 +20,7 @@ SIGMA, STEP = 0.01, 0.04
 def swinging(rng, n=400):
     """Velocities of a damped bob: x'' = -5 x - 0.1 x', with noise."""
     t = np.arange(n) * STEP
-    rate = -0.05 + 1j * np.sqrt(5 - 0.05**2)
-    return t, (0.2 * rate * np.exp(rate * t)).real + SIGMA * rng.standard_normal(n)
+    return t, swung(t, 0.2, 5.0, 1, SIGMA, rng)
 
 
 @pytest.fixture
