@@ -135,12 +135,12 @@ ACCELERATION = Unit.of(m=1, s=-2)
 _OF_THE_SKY = (
     "solar_mass = 1.98841e30 kg = Msun = M_sun", "earth_mass = 5.97217e24 kg = Mearth",
     "jupiter_mass = 1.89812e27 kg = Mjup", "microarcsecond = 1e-6 arcsecond = uas",
-    "solar_radius = 6.957e8 m = Rsun = R_sun", "earth_radius = 6.3781e6 m = Rearth",
-    "jupiter_radius = 7.1492e7 m = Rjup = Rj",
+    "solar_radius = 6.957e8 m = Rsun = R_sun", "earth_radius = 6.3781e6 m = Rearth = R_earth",
+    "jupiter_radius = 7.1492e7 m = Rjup = Rj = RJ = R_J = R_jup",
 )  # fmt: skip
-_RESPELT = {"AU": "au", "M☉": "Msun", "M⊙": "Msun"}
+_RESPELT = {"AU": "au", "M☉": "Msun", "M⊙": "Msun", "R☉": "Rsun", "R⊙": "Rsun", "R⊕": "Rearth"}
 """pint takes the first for an absorbance, which nobody else does beside lengths."""
-_RESPELLING = re.compile(r"\bAU\b|M[☉⊙]")
+_RESPELLING = re.compile(r"\bAU\b|[MR][☉⊙]|R⊕")
 
 
 @functools.lru_cache(maxsize=1)

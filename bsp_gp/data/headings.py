@@ -621,11 +621,23 @@ def _with_angles(found):
     out = [_as_angle(h) for h in found]
     angles = [(h.run, h.body) for h, old in zip(out, found, strict=True) if h is not old]
     bodies = {body for _, body in angles}
+    if not angles:
+        return _with_only_angle(found)
     if len(set(angles)) < len(angles):
         return found
     if len(bodies) == 1:
         return [replace(h, body="") if h.body in bodies else h for h in out]
     return out
+
+
+def _with_only_angle(found):
+    """The only column beside the clock, if its unit is one of angles: ``roll (deg)``."""
+    told = [h for h in found if h.unit and unit_of(h.unit) != _TIME]
+    if len(told) != 1 or told[0].sure != UNKNOWN or not is_angle(told[0].unit):
+        return found
+    if is_error(told[0].name) or told[0].is_renamed or told[0].ignored:
+        return found
+    return [replace(h, name="x", sure=GUESS) if h is told[0] else h for h in found]
 
 
 def _as_angle(heading):

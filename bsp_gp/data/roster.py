@@ -7,10 +7,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 
+from bsp_gp.data.conversion import is_unit
 from bsp_gp.data.scene import PROPERTY_UNITS, SHAPES, Entity
 from bsp_gp.errors import DataError
 
 OWN_COLUMNS = ("entity", "scene", "shape", "radius", "width", "height", "dynamic")
+_IN_BRACKETS = re.compile(r"(.*?)\s*[(\[]([^()\[\]]+)[)\]]\s*")
 WITHIN = ("mass", "charge")
 """Properties that a table of tracks may say itself, where it says their unit."""
 ABSURD = 1e150
@@ -69,13 +71,21 @@ def require_columns(table, needed):
         if "x" in missing:
             options += ' (of bodies side by side, BODY_x="..." OTHER_x="...")'
         is_data = sum(_is_number(cell) for cell in present) >= len(present) / 2
+        strange = "".join(f"; {h!r} has no unit that is known" for h in present if _is_strange(h))
         raise DataError(
             f"the header has no column {missing[0]!r}; present are {', '.join(present)}"
-            + ("; it looks like a row of data, so line 1 is no header" if is_data else ""),
+            + ("; it looks like a row of data, so line 1 is no header" if is_data else "")
+            + strange,
             file=table.file,
             column=missing[0],
             remedy=f"add it, or say which it is: --columns {options}, in dataset.toml [columns]",
         )
+
+
+def _is_strange(heading):
+    """Whether what a heading has in the place of a unit is none, beside the name of a place."""
+    match = _IN_BRACKETS.fullmatch(heading)
+    return bool(match and re.search(r"(?i)(^|[\W_])[xyz]$", match[1]) and not is_unit(match[2]))
 
 
 def _is_number(text):

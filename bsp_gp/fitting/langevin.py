@@ -236,6 +236,9 @@ class _Problem:
             values = {"drag": rate, "trap": trap, "kicks": kicks, "noise": max(g["noise"], 1e-5),
                       "exposure": LONGEST / 2, "memory": 10.0}  # fmt: skip
             out.append(np.log([values[name] for name in names]))
+            if is_overdamped and "trap" in terms:  # a stiff one: steps from row to row are kicks
+                stiff = values | {"kicks": 1.0, "trap": 0.5 / g["spread"]}
+                out.append(np.log([stiff[name] for name in names]))
         return out
 
     def _as_start(self, names, found):

@@ -77,6 +77,9 @@ def decide(table, criteria=None):
     is_odd = table.noise_p <= criteria.alpha
     needed = criteria.noise_nats if is_odd else SAME_MINIMUM
     if best.log_posterior - table.base.log_posterior <= needed:
+        # Who is kicked in a trap wanders as noise with a memory does: it is the same process.
+        if is_odd and best.kind == "kicks" and _explains_alike(best, table.base, criteria):
+            return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
         if is_odd and not is_forced:
             return Decision("the noise is not as assumed", "noise_explains")
         seen = None if is_forced and best.kind == "noise" else best
@@ -130,6 +133,11 @@ def _is_near(row, best, criteria):
     if row.is_wide:
         return _apart(best, row) < -2 * criteria.tie_nats
     return abs(_apart(best, row)) < criteria.separation
+
+
+def _explains_alike(row, base, criteria):
+    """Whether a row explains the data as well as what it extends, whatever is likelier before."""
+    return row.log_evidence - base.log_evidence > -criteria.tie_nats
 
 
 def _apart(best, row):

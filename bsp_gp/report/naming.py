@@ -38,7 +38,7 @@ def describe(formula, value=None, other="the other body", exponents=()):
     if _OBLATE.search(to_text(formula)):
         phrase = "pull of an oblate centre (its flattening, about z)"
     elif split_linear(formula)[1].constants:
-        phrase = _inner_phrase(direction, formula, powers, value)
+        phrase = _inner_phrase(direction, formula, powers, value, bool(loose))
         if value is not None and value < 0:
             phrase = re.sub(r"^force to a point", "force away from a point", phrase)
             phrase = re.sub(r"^spring to a rest point", "push away from a point", phrase)
@@ -47,7 +47,7 @@ def describe(formula, value=None, other="the other body", exponents=()):
     else:
         condition = conditions[-1] if conditions else None
         phrase = _phrase(direction, condition, powers, value, bool(loose))
-        phrase = ", ".join([phrase, *map(_loose, loose)])
+    phrase = ", ".join([phrase, *map(_loose, loose)])
     phrase = re.sub(r"\^1(?![\d.])", "", phrase.replace(" * ", " times "))
     return pretty_unit(phrase).replace("the other body", other)
 
@@ -136,7 +136,7 @@ _INNER = (
 """Marks of factors with a constant inside, and what they do."""
 
 
-def _inner_phrase(direction, formula, powers, value=None):
+def _inner_phrase(direction, formula, powers, value=None, is_loose=False):
     """Name a term with constants inside: "spring to a point", "force along e_x, fading ..."."""
     rest = split_linear(formula)[1]
     for mark, phrase in _WHOLE:
@@ -170,7 +170,8 @@ def _inner_phrase(direction, formula, powers, value=None):
         total = powers.get("norm(v_i)", 0) + (text == "v_i")
         kind = "drag" if total else "friction"
         kind = "forward push" if value is not None and value > 0 else kind
-        return ", ".join(dict.fromkeys([f"{kind}, {_in_speed(total)}", *words]))
+        told = [kind] if is_loose else [f"{kind}, {_in_speed(total)}"]
+        return ", ".join(dict.fromkeys([*told, *words]))
     if any(each.startswith("centre_") for each in inner):
         return f"spring to a line or plane across {text}"
     if of_bodies:
