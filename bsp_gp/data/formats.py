@@ -22,6 +22,7 @@ from bsp_gp.data.headings import (
     has_place,
     is_body,
     is_height,
+    is_id,
     number_columns,
     run_of,
     told,
@@ -225,15 +226,21 @@ def _with_bodies(frame, found):
         h for h in found
         if h.sure == UNKNOWN and h.name in frame.columns
         and not frame.duplicated([*keys, h.name]).any() and frame[h.name].notna().all()
-        and (is_body(h.name) or (again.any() and frame[h.name].dtype.kind not in "fiub"))
+        and (_names_bodies(h, frame) or (again.any() and frame[h.name].dtype.kind not in "fiub"))
     ]  # fmt: skip
-    named = [h for h in able if is_body(h.name)] or able
+    named = [h for h in able if _names_bodies(h, frame)] or able
     if len(named) != 1:
         return frame, found
     (heading,) = named
     frame = frame.rename(columns={heading.name: "entity"})
     new = [replace(h, name="entity", sure=GUESS) if h is heading else h for h in found]
     return frame, new
+
+
+def _names_bodies(heading, frame):
+    """Whether a heading speaks of bodies, or of numbers of what is followed, not of rows."""
+    is_counted = is_id(heading.name) and 2 * frame[heading.name].nunique() <= len(frame)
+    return is_counted or is_body(heading.name)
 
 
 def _place(heading):

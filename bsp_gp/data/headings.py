@@ -274,6 +274,12 @@ def is_body(text):
     return bool(words) and words <= _GUESSES["entity"] | _BODY_WORDS
 
 
+def is_id(text):
+    """Whether a heading is that of the numbers or names that a tracker gives to what it follows."""
+    words = _words(text) - {""}
+    return words <= {"id", "ids", "trackid", "objectid"} and bool(words)
+
+
 def is_error(text):
     """Whether a heading speaks of an error, a fit or a speed, which is no place of a body."""
     no_place = _ERROR_WORDS | _SPEED_WORDS | _ACCELERATION_WORDS | _OTHER_WORDS

@@ -19,7 +19,7 @@ FEWEST = 3
 """Scenes, or bodies, of which numbers of their own are no mere pair."""
 MOST_SHARED, MOST_OWNERS = 3, 12
 """Laws of one strength for all beside which one of a strength for each is asked for, and owners."""
-SIZES = np.geomspace(1e-3, 1e3, 49)
+SIZES = np.geomspace(1e-3, 1e6, 73)
 """Spreads of the numbers that are tried, in their typical standard error."""
 
 
