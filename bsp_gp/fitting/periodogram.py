@@ -85,7 +85,7 @@ def longest(found):
     return float(np.max(np.nanmax(times, axis=0) - np.nanmin(times, axis=0)))
 
 
-def swing_of(found, foreseen=False, body=None):
+def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS):
     """The rate at which tracks swing as they were seen, rad/s; 0 where they do not.
 
     Parameters
@@ -95,6 +95,8 @@ def swing_of(found, foreseen=False, body=None):
         As its law has them, then.
     body : str, optional
         Whose tracks; those of all.
+    turns : float
+        In the longest track, below which nothing is a swing.
     """
     tracks = join(chains.observed for chains in found.groups)
     if foreseen:
@@ -122,7 +124,7 @@ def swing_of(found, foreseen=False, body=None):
     # What nobody has explained may be all of what was taken for noise.
     noise = min((whole - power[best]) / max(count, 1), 1.0)
     is_shown = power[best] > max(SWINGING * whole, SHOWN * noise)
-    is_seen = rates[best] * span > 2 * np.pi * FEWEST_TURNS
+    is_seen = rates[best] * span > 2 * np.pi * turns
     return float(rates[best]) if is_shown and is_seen else 0.0
 
 

@@ -28,6 +28,8 @@ SINE = "sin((x_i - h_x) / D) * e_x"
 """What drives an angle back: a weight on an arm."""
 SHARE = 0.05
 """Length of such a spring in the extent of the tracks, at which a fit begins."""
+FEWER_TURNS = 0.75
+"""Of a body beside others that swing."""
 MOST_BODIES = 12
 """That are asked whether each swings at a rate of its own."""
 LEAST_DRAG = 1e-3
@@ -64,11 +66,14 @@ class Swings:
         if not self.forms or is_sky or len(names) > MOST_BODIES:
             return Family(self.name)
         is_alone = all(len(s.dynamic) == 1 for s in scenes)
-        rates = {}
-        for name in [None] if is_alone else names:
-            rates[name] = swing_of(view.fit, body=name)
-            if not rates[name]:  # a periodogram of each of the others would tell nothing
-                return Family(self.name)
+        rates = {name: swing_of(view.fit, body=name) for name in ([None] if is_alone else names)}
+        slow = [name for name, rate in rates.items() if not rate]
+        if 2 * len(slow) > len(rates):
+            return Family(self.name)
+        # Beside bodies that swing for sure one may be so slow that the track is one turn of it.
+        rates |= {name: swing_of(view.fit, body=name, turns=FEWER_TURNS) for name in slow}
+        if not all(rates.values()):
+            return Family(self.name)
         if swing_of(view.fit, foreseen=True):
             return Family(self.name)
         search = inner_search(view, self.grammar, view.moment_draws)
