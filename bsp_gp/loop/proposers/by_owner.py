@@ -11,12 +11,13 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.laws import SAME, declared_directions, is_along
 from bsp_gp.loop.proposers.libraries import SEPARATE
+from bsp_gp.loop.proposers.priors import drives
 from bsp_gp.loop.proposers.varying import columns_by, owners
 from bsp_gp.physics.force import Term, fresh_name, fresh_names, split_linear
 from bsp_gp.search.columns import orthonormal
 
-FEWEST = 3
-"""Scenes, or bodies, of which numbers of their own are no mere pair."""
+FEWEST, LEAST = 3, 2
+"""Scenes, or bodies, of which numbers of their own are no mere pair; and beside a law for all."""
 MOST_SHARED, MOST_OWNERS = 3, 12
 """Laws of one strength for all beside which one of a strength for each is asked for, and owners."""
 SIZES = np.geomspace(1e-3, 1e6, 73)
@@ -45,7 +46,7 @@ class ByOwner:
         promised, least = view.promised, view.criteria.noise_nats
         forms = forms_of(self.laws, view)
         declared = declared_directions(view)
-        for by, ties in owners(view, FEWEST).items():
+        for by, ties in owners(view, LEAST).items():
             for rest, cost in _bare_forms(forms, view, by).items():
                 try:
                     keys, columns = columns_by(view, Term(rest), {}, by)
@@ -56,7 +57,11 @@ class ByOwner:
                 if is_along(columns.sum(axis=1), declared):
                     continue  # another number of a declared term for each, see `Varying`
                 score = view.score_forces(columns)
+                if score.rank < LEAST:
+                    continue
                 if score.rank < FEWEST:
+                    together = evidence_of(view, columns.sum(axis=1, keepdims=True))
+                    asked.append(_Asked(rest, by, keys, columns, cost, together))
                     continue
                 n_tried += 1
                 null = np.maximum(null, as_pair(view.null_forces(columns), score.rank))
@@ -72,6 +77,8 @@ class ByOwner:
         proposals = [p for _, p in found] + list(_sums(view, asked, least))
         proposals = [p for p in proposals if p.promise > promised - least]
         proposals.sort(key=lambda p: -p.promise)
+        if not n_tried:  # of a pair sums alone are asked, where others show that there is more
+            return Family(self.name, tuple(proposals), n_tried=len(asked), is_led=True)
         return Family(self.name, tuple(proposals), best, 2, null, n_tried=n_tried)
 
 
@@ -107,9 +114,11 @@ def _sums(view, asked, least):
     cannot make it speak.
     """
     asked = [one for one in asked if not {"p_j", "v_j"} & set(one.form.inputs)]
-    alike = sorted({one.form: one for one in asked}.values(), key=lambda one: -one.together)
-    for first in alike[:MOST_SHARED]:
-        column = first.columns.sum(axis=1, keepdims=True)
+    alike = {one.form: (one, one.columns.sum(axis=1, keepdims=True)) for one in asked}.values()
+    # What drives a body along its way cannot set it off: a weight does, and looks the same.
+    alike = [(one, column) for one, column in alike
+             if not drives(one.form, float(view.beside(column)[:, 0] @ view.left))]  # fmt: skip
+    for first, column in sorted(alike, key=lambda pair: -pair[0].together)[:MOST_SHARED]:
         beside = view.beside(column)
         taken = orthonormal(beside, len(column))
         for own in asked:
