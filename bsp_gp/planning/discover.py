@@ -48,6 +48,8 @@ FEW = 0.5
 """Shorter experiments are made where fewer of the rows are calm."""
 SEEN = 8.0
 """Standard deviations by which forces should lead a body off for them to be seen at all."""
+CLEARLY = 4 * SEEN
+"""The same from which experiments of half the time, in which a quarter of it is left, show them."""
 PATIENCE = 3
 """Rounds after which whole recordings that no law of calm rows fits are asked what is missing."""
 PATIENT = 8
@@ -177,6 +179,7 @@ class _State:
         self.rivals = ()
         self.report, self.stands, self.left, self.inseparable = None, False, ("no_law",), ()
         self.part, self.is_misfit, self.n_misfits = 1.0, False, 0
+        self.n_lost = 0  # rounds since a law was found that fits
         self.is_foretold = False  # whether the law foresaw the experiments of this round
         self.is_at_ends = False  # whether experiments were made at the ends of the means
 
@@ -252,6 +255,8 @@ class _State:
         scenes = self.scenes()
         calm_scenes = [calm(s) for s in scenes]
         self._choose_part(scenes, calm_scenes)
+        if self.n_lost:
+            calm_scenes = [self._short(s) for s in calm_scenes]
         calm_scenes = [s for s in calm_scenes if len(s.times) >= LEAST_ROWS] or scenes
         self.is_foretold, whole = False, self.means.dataset(scenes)
         if self.rivals:
@@ -272,6 +277,7 @@ class _State:
         elif not self.left and not self.is_at_ends and not is_last:
             self.left = ("untried",)
         self.n_misfits = self.n_misfits + 1 if self.is_misfit else 0
+        self.n_lost = self.n_lost + 1 if self.is_misfit or not self.rivals else 0
         is_asked = self.is_foretold or is_last
         if self.left in ((), ("unforeseen",)) and is_asked or self.n_misfits >= PATIENCE:
             self._ask_whole(whole, whole_rng)
@@ -296,13 +302,24 @@ class _State:
         return self.means.dataset(cut or scenes)
 
     def _choose_part(self, scenes, calm_scenes):
-        """Shorter experiments where forces lead bodies far off, longer where they hardly do."""
+        """Shorter experiments where forces lead bodies far off, longer where they hardly do.
+
+        Where no law is found, what leads them off may be something that nobody sees, and rows of
+        which nothing tells that they are not calm are left out as well.
+        """
         kept = sum(len(s.times) for s in calm_scenes) / sum(len(s.times) for s in scenes)
-        shown = np.median([_departure(s)[-1] / max(self._noise(s), 1e-300) for s in scenes])
-        if kept < FEW:
+        near = map(self._short, scenes) if self.n_lost else scenes
+        shown = np.median([_departure(s)[-1] / max(self._noise(s), 1e-300) for s in near])
+        if kept < FEW or (self.n_lost and shown > CLEARLY):
             self.part = max(self.part / 2, 1e-3)
         elif shown < SEEN:
             self.part = min(self.part * 2, 1.0)
+
+    def _short(self, scene):
+        """The rows of a scene that an experiment as short as the next ones has."""
+        count = np.searchsorted(scene.times, scene.times[0] + self.part * self.means.longest,
+                                side="right")  # fmt: skip
+        return scene if count >= len(scene.times) else scene.rows(None, max(int(count), 3))
 
     def _noise(self, scene):
         return float(np.median(self.means.sigma(scene.positions[:, scene.dynamic])))
@@ -401,7 +418,7 @@ class _State:
         content = {
             "schema": "bsp_gp/discovery/1", "round": number, "stands": self.stands,
             "open": list(self.left), "part": self.part, "is_misfit": self.is_misfit,
-            "is_at_ends": self.is_at_ends, "experiments": [
+            "is_at_ends": self.is_at_ends, "n_lost": self.n_lost, "experiments": [
                 {**e.to_dict(), "seen": _plain(r)}
                 for e, r in zip(self.experiments, self.recordings, strict=True)
             ],
@@ -431,6 +448,7 @@ class _State:
             self.left, self.stands = tuple(content["open"]), content["stands"]
             self.part, self.is_misfit = content["part"], content["is_misfit"]
             self.is_at_ends = content.get("is_at_ends", False)
+            self.n_lost = content.get("n_lost", 0)
             return int(content["round"])
         except (OSError, ValueError, KeyError, TypeError, LawError) as error:
             raise DataError(f"this is no discovery to go on from ({error})", file=file,

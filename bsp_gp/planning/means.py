@@ -167,6 +167,13 @@ class Means:
         chosen = (value for body in self.bodies.values() for value in body.values())
         return sum(not isinstance(value, float) for value in chosen)
 
+    @property
+    def longest(self):
+        """The latest that can be looked, s."""
+        if isinstance(self.until, Range):
+            return self.until.high
+        return float(np.max(self.until))
+
     def draw(self, rng, part=1.0):
         """An experiment by chance, as even as the ranges are.
 

@@ -36,6 +36,8 @@ SCANNED = 25_000
 MOST_WEIGHTS = 400_000
 """Products that the moments of one force are made of, above which forms that act on bodies by
 themselves are scanned on a part of the chains, and the best of them scored on all."""
+MOST_LEADING = 8
+"""Of the likeliest laws of the grammar, those that are tried beside forms as textbooks' are."""
 MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
 """Forms beside which laws are sought, sets of these of each size, and terms of a sum."""
 ROUNDING = 1e-9
@@ -123,7 +125,9 @@ class Inside:
             sizes = {len(s.axes): s for s in reversed(closer)}
             leads = dict.fromkeys((*sizes.values(), *closer[:MOST_LEADS]))
             leads = leads if is_enough else (*leads, None)
-            laws, alone = _shown(view, self.common), cache(lambda: waves_alone(view))
+            best = [Call("mul", Constant("c1"), f) for f in list(view.leading)[:MOST_LEADING]]
+            laws = _shown(view, dict.fromkeys((*self.common, *best)))
+            alone = cache(lambda: waves_alone(view))
             every += [p for lead in leads for p in _sums(view, search, lead, laws, alone)]
         least = view.promised - 2 * view.criteria.tie_nats  # what is less likely tells nothing new
         proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)
