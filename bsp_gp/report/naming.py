@@ -130,6 +130,7 @@ _INNER = (
     ("1 + sign(t", "from an instant on"), ("1 - sign(t", "up to an instant"),
     ("sign(t", "switched in time"), ("sign(", BEYOND),
     ("bessel_k1(", "screened in two dimensions (K1 of distance over a length)"),
+    ("cos(", "alternating with a period"),
     ("exp(", "fading with a length"), ("^-1.5", "softened within a length"),
     ("inverse(1 +", "levelling off"), ("^n", "to a fitted power of {}"), ("", "less a length"),
 )  # fmt: skip

@@ -1,5 +1,6 @@
 """Proposers: each turns a fit into causes that may be missing, one short file each."""
 
+from bsp_gp.loop.proposers.alternating import Alternating
 from bsp_gp.loop.proposers.anchors import Anchors
 from bsp_gp.loop.proposers.aslant import Aslant
 from bsp_gp.loop.proposers.blown import Blown
@@ -50,7 +51,7 @@ def standard(grammar, dataset, **settings):
     return [
         laws, inside, Polynomials(laws), Regimes(), Blown(), Swings(inside), ByOwner(laws),
         OwnLaws(laws), Declared(), Varying(), Growing(), Winds(), Periods(), Ripples(), Pulsing(),
-        Frames(), Inclinations(), References(), Sources(), Hidden(), Aslant(), Companions(),
-        Kicks(), Contacts(), Walls(), Rods(), Anchors(), Measurement(), LateLogs(), Defects(),
-        Hands(), Noise(), Unfollowed(laws),
+        Alternating(laws, dataset), Frames(), Inclinations(), References(), Sources(), Hidden(),
+        Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Anchors(), Measurement(),
+        LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
     ]  # fmt: skip

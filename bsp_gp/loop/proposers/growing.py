@@ -1,5 +1,7 @@
 """Strengths that grow or fade steadily: a mass that is lost, a battery that runs down."""
 
+import math
+
 import numpy as np
 
 from bsp_gp.language.formula import Call, Constant, Number
@@ -16,7 +18,7 @@ LEFT = 0.02
 
 
 class Growing:
-    """A term times ``1 + r t``, as where a field grows, or by it, as where mass is lost."""
+    """A term times ``1 + r t`` or ``exp(r t)``; or by the first, as where mass is lost."""
 
     name = "growing"
 
@@ -45,13 +47,17 @@ class Growing:
 
 
 def _proposals(view, index, since, span, score):
-    """The term grows evenly, or is divided by what does: to first order that is the same."""
+    """The term grows evenly or by itself, or is divided by what does: to first order all one."""
     law, rate = view.fit.law, float(score.amplitudes[0])
     name = fresh_name(law, "r")
-    growth = Call("add", Number(1.0), Call("mul", Constant(name), since))
+    change = Call("mul", Constant(name), since)
+    growth = Call("add", Number(1.0), change)
     term = law.terms[index].formula
-    low, high = (LEFT - 1) / span, MOST / span
-    for formula, start in ((Call("mul", growth, term), rate), (Call("div", term, growth), -rate)):
+    even, whole = ((LEFT - 1) / span, MOST / span), (math.log(LEFT) / span, math.log(MOST) / span)
+    for formula, start, (low, high) in (
+        (Call("mul", growth, term), rate, even), (Call("div", term, growth), -rate, even),
+        (Call("mul", Call("exp", change), term), rate, whole),
+    ):  # fmt: skip
         yield Proposal(
             "growing", to_text(formula), with_term_at(view.hypothesis, index, formula, {name: 0.0}),
             -view.criteria.cause_nats, score.statistic,
