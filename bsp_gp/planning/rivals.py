@@ -199,7 +199,8 @@ def of_whole_powers(rival, dataset):
             continue
         what = r"\^" + name + r"\b"
         if not power:
-            what = rf" \* (?:\([^()]*\)|\w+(?:\([^()]*\))?){what}"
+            factor = rf"(?:\([^()]*\)|\w+(?:\([^()]*\))?){what}"
+            what = rf" \* {factor}|{factor} \* "
         changed = [re.sub(what, f"^{power:g}" if power else "", text) for text in changed]
     if changed == texts:
         return []

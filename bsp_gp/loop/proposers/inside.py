@@ -125,7 +125,8 @@ class Inside:
             sizes = {len(s.axes): s for s in reversed(closer)}
             leads = dict.fromkeys((*sizes.values(), *closer[:MOST_LEADS]))
             leads = leads if is_enough else (*leads, None)
-            best = [Call("mul", Constant("c1"), f) for f in list(view.leading)[:MOST_LEADING]]
+            best = [f for f in view.leading if not f.constants][:MOST_LEADING]
+            best = [Call("mul", Constant("c1"), form) for form in best]
             laws = _shown(view, dict.fromkeys((*self.common, *best)))
             alone = cache(lambda: waves_alone(view))
             every += [p for lead in leads for p in _sums(view, search, lead, laws, alone)]
