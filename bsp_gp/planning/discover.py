@@ -16,13 +16,15 @@ import numpy as np
 from bsp_gp.errors import DataError, LawError, SettingsError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
+from bsp_gp.language.formula import factors
+from bsp_gp.language.render import to_text
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.outcome import law_record
 from bsp_gp.output.place import whole_file
 from bsp_gp.physics.engine.owners import fitted_properties
-from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.force import ForceLaw, split_linear
 from bsp_gp.physics.masses import with_unit_masses, with_usable_masses
 from bsp_gp.planning.apparatus import Recording, Refused, recording_of
 from bsp_gp.planning.ends import at_the_ends
@@ -54,6 +56,8 @@ PATIENCE = 3
 """Rounds after which whole recordings that no law of calm rows fits are asked what is missing."""
 PATIENT = 8
 """Times the usual effort of a fit that rivals may take on all recordings."""
+MOST_ALONG = 2
+"""Terms of a law that stands along one direction, such as that to another body."""
 FITS = 1.5
 """Reduced chi-squared up to which a law of known noise fits."""
 
@@ -71,8 +75,9 @@ class Discovery:
     stands : bool
         Whether the law is sure, fits, and nothing is missing beside it.
     open : tuple of str
-        Codes of what is not settled: "no_law", "rivals", "misfit", "missing", "unforeseen" (it
-        has not foreseen a round of experiments yet), "untried" (nor one at the ends of the means),
+        Codes of what is not settled: "no_law", "rivals", "misfit", "missing", "series" (so many
+        terms act along one direction that they may stand for another form), "unforeseen" (it has
+        not foreseen a round of experiments yet), "untried" (nor one at the ends of the means),
         "inseparable".
     inseparable : tuple of (str, str)
         Rivals that no experiment within the means parts.
@@ -264,7 +269,7 @@ class _State:
             whole = self._foreseeable(scenes, cut_rng)
             self._weigh(whole)
             self.is_foretold = not self.is_misfit and self.rivals[0].text == best
-        if not self.rivals or self.is_misfit:
+        if not self.rivals or self.is_misfit or "series" in self.left:
             base = self._from_calm(self.means.dataset(calm_scenes), calm_rng)
             self.says(f"found: {base.text()}")
             if self.rivals:
@@ -387,6 +392,8 @@ class _State:
             left.append("rivals")
         if self.rivals and self.is_misfit:
             left.append("misfit")
+        elif self.rivals and _is_series(self.rivals[0].law):
+            left.append("series")
         self.left = tuple(left)
 
     def _ask_whole(self, dataset, rng):
@@ -515,6 +522,15 @@ def _declared(law):
     """A law as it may be declared: all its terms, constants where they are."""
     terms = tuple(replace(t, is_declared=True) for t in law.terms)
     return ForceLaw(terms, law.constants, law.frame)
+
+
+def _is_series(law):
+    """Whether many terms of a law act along one direction: they may stand for any other form."""
+    ways = []
+    for term in law.terms:
+        above, _ = factors(split_linear(term.formula)[1])
+        ways += [to_text(f) for f in above if f.type.shape == "vector"]
+    return any(ways.count(way) > MOST_ALONG for way in ways)
 
 
 def _fitted(rival, found):

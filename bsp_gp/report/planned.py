@@ -49,6 +49,7 @@ def discovery_text(found):
     words = {
         "no_law": "no law was found", "rivals": "rivals are not told apart",
         "misfit": "the law misses recordings by more than their noise",
+        "series": "so many terms act along one direction that they may stand for another form",
         "unforeseen": "the law has not foreseen a round of experiments yet",
         "untried": "the law was not tried at the ends of what can be chosen",
         "missing": "something is missing that was not adopted",

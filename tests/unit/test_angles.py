@@ -103,3 +103,20 @@ def test_an_angle_needs_a_unit():
 ])  # fmt: skip
 def test_torques_are_told_as_they_are_typed(law):
     assert read_law(angles(), [law]).text(digits=False) == law
+
+
+def test_the_only_column_with_a_unit_of_angles_is_the_angle():
+    """It was asked for by name: the roll of a ship, the bearing of a needle."""
+    rolls = [3.0, 2.5, 1.1, -0.6, -2.0, -2.7]
+    table = pd.DataFrame({"t (s)": np.arange(6) / 4, "roll (deg)": rolls})
+    data = bsp_gp.Dataset.from_frames(table)
+    assert data.units.is_angle
+    np.testing.assert_allclose(data.scenes[0].positions[0, 0, 0], np.radians(3.0))
+    with pytest.raises(DataError, match="no column 'x'"):
+        bsp_gp.Dataset.from_frames(table.assign(**{"pitch (deg)": 1.0 + table["t (s)"]}))
+
+
+def test_a_place_in_an_unknown_unit_is_refused_by_that():
+    table = pd.DataFrame({"t (s)": [0.0, 1.0, 2.0], "A_x (flarn)": [1.0, 2.0, 3.0]})
+    with pytest.raises(DataError, match=r"'A_x \(flarn\)' has no unit that is known"):
+        bsp_gp.Dataset.from_frames(table)

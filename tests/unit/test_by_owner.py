@@ -112,3 +112,28 @@ def test_a_weight_for_all_and_a_drag_for_each_ball_are_found_as_one():
     told = bsp_gp.summary_text(report)
     assert "uniform push along y" in told
     assert "of another strength for each body" in " ".join(told.split())
+
+
+def two_sinking(rng):
+    """Two balls that sink in one film, each with a drag of its own."""
+    times, rows = np.arange(60) / 50, []
+    for name, drag in (("small", 8.0), ("big", 2.4)):
+        depth = solve_ivp(
+            lambda _, s, drag=drag: [s[1], -5.9 - drag * s[1] * abs(s[1])], (0, times[-1]),
+            [0.0, 0.0], t_eval=times, rtol=1e-9,
+        ).y[0]  # fmt: skip
+        rows.append(pd.DataFrame({"t": times, "entity": name,
+                                  "y": depth + 1e-3 * rng.standard_normal(60)}))  # fmt: skip
+    return bsp_gp.Dataset.from_frames(
+        pd.concat(rows), units={"length": "m", "time": "s"}, properties={"mass": "1[kg]"}
+    )
+
+
+@pytest.mark.slow
+def test_two_balls_share_a_weight_and_have_drags_of_their_own():
+    """A clock that jumps had been told: of a pair no number of each was asked."""
+    report = bsp_gp.close_loop(two_sinking(np.random.default_rng(1)), (), rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    drags = {c.entity: -c.value for c in report.constants if c.entity}
+    assert drags["small"] == pytest.approx(8.0, rel=0.1)
+    assert drags["big"] == pytest.approx(2.4, rel=0.1)

@@ -255,3 +255,11 @@ def test_numbers_that_the_data_do_not_tell_apart_cost_what_their_sum_does():
     heights = [log_evidence(fit(h, data), h) for h in (one, two)]
     assert np.isinf(np.diag(fit(two, data).covariance)).sum() == 2
     assert heights[1] == pytest.approx(heights[0], abs=1.5), "no number is free of charge"
+
+
+def test_what_is_kicked_in_a_trap_wanders_as_noise_with_a_memory_does():
+    kicks = row(1, "kicks", "kicks", gain=12.0, prior=-3.0)
+    said = decided(kicks, noise_p=1e-9)
+    assert (said.verdict, said.reason, said.best.code) == ("cannot tell", "kinds_tie", "kicks")
+    less = replace(kicks, log_evidence=-5.0)
+    assert decided(less, noise_p=1e-9).verdict == "the noise is not as assumed"

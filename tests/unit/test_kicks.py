@@ -246,3 +246,31 @@ def test_what_swings_undisturbed_is_not_kicked():
     assert best.terms == {"drag", "trap"}
     assert best.values["trap_rate"][0] == pytest.approx(5.3, rel=1e-3)
     assert best.values["drag_rate"][0] == pytest.approx(0.06, rel=0.05)
+
+
+def wandering(rate=5.0, noise=0.02, n_rows=2000, step=0.01):
+    """A bead in a trap, in which no inertia is seen."""
+    rng, kept = np.random.default_rng(4), np.exp(-rate * step)
+    places = np.zeros((n_rows, 2))
+    spread = np.sqrt(0.9 / rate * (1 - kept**2))
+    for row in range(1, n_rows):
+        places[row] = kept * places[row - 1] + spread * rng.standard_normal(2)
+    places += noise * rng.standard_normal(places.shape) + [5.0, 7.0]
+    return Track(step * np.arange(n_rows), places)
+
+
+def test_a_stiff_trap_is_found_from_the_steps_between_rows():
+    """From wider steps the fit ended in no trap at all."""
+    best = models_of([wandering()])[0]
+    assert best.terms == {"kicks", "drag", "trap"} and best.is_overdamped
+    value, low, high = best.values["trap_rate"]
+    assert 0.8 * low < 5.0 < 1.25 * high and value == pytest.approx(5.0, rel=0.4)
+
+
+@pytest.mark.slow
+def test_who_is_kicked_in_a_trap_may_be_noise_with_a_memory():
+    """It was told as noise alone: both are the same process."""
+    report = close_loop(recorded(wandering()), [], rng=0, n_bootstrap=0)
+    assert report.verdict == "cannot tell"
+    told = verdict_sentence(page_of(report))
+    assert "random kicks with a trap" in told and "noise with a memory" in told

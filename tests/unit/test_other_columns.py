@@ -87,6 +87,7 @@ def two_bodies(column, names=("A", "B"), is_stacked=False):
         ("Kugel Nr.", (1, 2), False),
         ("Körper", ("rot", "blau"), True),
         ("who", ("anna", "bea"), False),
+        ("id", (1, 2), True), ("ID", ("ant3", "ant7"), True),
     ],
 )
 def test_what_tells_rows_at_one_time_apart_names_bodies(column, names, is_stacked):

@@ -11,7 +11,7 @@ import bsp_gp
 from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.hypothesis import read_law
 from bsp_gp.planning.apparatus import Command, recording_of
-from bsp_gp.planning.discover import _State, calm, discover
+from bsp_gp.planning.discover import _is_series, _State, calm, discover
 from bsp_gp.planning.means import Body, Experiment, Range, load_means, means_from
 from bsp_gp.planning.plan import foreseen, information, normals, plan, weights_of
 from bsp_gp.planning.rivals import Rival, in_common, kin_of, of_whole_powers
@@ -463,3 +463,31 @@ def test_a_law_with_a_constant_of_each_scene_foretells_with_their_median(means):
     Rival("", found, 1.0)
     with pytest.raises(SettingsError, match="no value for a new experiment"):
         Rival("", law, 1.0)
+
+
+def test_a_factor_to_the_power_of_nothing_is_left_out_wherever_it_stands(means):
+    dataset = means.dataset([means.draw(np.random.default_rng(0)).scene("a")])
+    law = "-k1 * (m_i^a1 * q_j * norm(p_i - p_j)^n1 * normalize(p_i - p_j))"
+    (whole,) = of_whole_powers(rival(means, law, k1=1.5, a1=9e-5, n1=-1.001), dataset)
+    assert "m_i" not in whole.text and "^-1 " in whole.text
+
+
+def test_where_no_law_is_found_experiments_get_shorter(means):
+    """Something unseen may lead bodies off: nothing tells that such rows are not calm."""
+    state = _State(means, (), {}, lambda text: None, None)
+    scenes = [means.draw(np.random.default_rng(k)).scene(f"s{k}") for k in range(6)]
+    led = [replace(s, positions=s.positions + s.times[:, None, None] ** 2 * [1.0, 0.0])
+           for s in scenes]  # fmt: skip
+    state._choose_part(led, led)
+    assert state.part == 1.0
+    state.n_lost = 1
+    state._choose_part(led, led)
+    assert state.part == 0.5
+    assert max(state._short(s).times[-1] for s in led) <= 2.5 + 1e-9
+
+
+@pytest.mark.parametrize(("count", "is_series"), [(2, False), (3, True)])
+def test_many_terms_along_one_line_stand_for_any_form(means, count, is_series):
+    texts = [f"-k{n} * q_j * norm(p_i - p_j)^-{n} * normalize(p_i - p_j)" for n in (1, 2, 3)]
+    dataset = means.dataset([means.draw(np.random.default_rng(0)).scene("a")])
+    assert _is_series(read_law(dataset, [*texts[:count], "-c * v_i"])) is is_series

@@ -133,11 +133,11 @@ def test_a_puck_that_is_tied_to_a_post_is_not_kicked_at_random():
     assert length.low < NATURAL < length.high
 
 
-def moons(n=60, span=40.0, seed=0):
+def moons(n=60, span=40.0, seed=0, periods=(1.769, 3.551, 7.155)):
     """Three moons that are seen from the side, at uneven epochs (days; radii of their planet)."""
     rng = np.random.default_rng(seed)
     times = np.sort(rng.uniform(0, span, n))
-    far, periods = np.array([5.9, 9.4, 15.0]), np.array([1.769, 3.551, 7.155])
+    far, periods = np.array([5.9, 9.4, 15.0]), np.array(periods)
     angles = 2 * np.pi * times[:, None] / periods + rng.uniform(0, 6, 3)
     places = far * np.sin(angles) + 0.15 * rng.standard_normal((n, 3))
     rows = [{"t": t, "entity": name, "x": x}
@@ -147,16 +147,20 @@ def moons(n=60, span=40.0, seed=0):
     return bsp_gp.Dataset.from_frames(frame, units={"length": "Rjup", "time": "day"}), periods
 
 
-def test_bodies_that_swing_at_rates_of_their_own_are_asked_for_a_spring_of_each():
-    """Of the moons but one all had been told as noise beside one spring."""
-    data, periods = moons()
+@pytest.mark.parametrize("slowest", [7.155, 32.0])
+def test_bodies_that_swing_at_rates_of_their_own_are_asked_for_a_spring_of_each(slowest):
+    """Of the moons but one all had been told as noise beside one spring.
+
+    Of one that is seen for little more than a turn nothing alone would call that a swing.
+    """
+    data, periods = moons(periods=(1.769, 3.551, slowest))
     view = view_of(data)
     (each,) = proposed(data).proposals
     assert each.code == "law_by_body"
     found = each.fitted(view.near, data, criteria=view.criteria)
     (table,) = (v for name, v in found.law.constants.items() if name.endswith("[body]"))
     told = [2 * np.pi / np.sqrt(table[name]) / 86400 for name in "abc"]
-    np.testing.assert_allclose(told, periods, rtol=2e-3)
+    np.testing.assert_allclose(told, periods, rtol=5e-3)
     assert found.noise.levels[0] < 0.25 * 7.1492e7
 
 

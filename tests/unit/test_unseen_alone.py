@@ -75,7 +75,8 @@ def test_constants_are_told_in_the_units_of_the_data():
 
 @pytest.mark.parametrize(
     ("text", "same"),
-    [("AU", "au"), ("Msun", "1.98841e30 kg"), ("M☉", "Msun"), ("mas", "1e-3 arcsec")],
+    [("AU", "au"), ("Msun", "1.98841e30 kg"), ("M☉", "Msun"), ("mas", "1e-3 arcsec"),
+     ("RJ", "7.1492e7 m"), ("R_jup", "Rjup"), ("R☉", "Rsun"), ("R⊕", "R_earth")],
 )
 def test_words_of_the_trade_are_units(text, same):
     number, _, unit = same.rpartition(" ")

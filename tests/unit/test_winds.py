@@ -154,3 +154,27 @@ def test_a_drag_in_a_wind_is_found_where_nothing_is_declared():
     found = {c.name: c for c in report.constants}
     assert found["u_x1"].value == pytest.approx(-3.0, abs=0.4)
     assert found["u_y1"].value == pytest.approx(2.0, abs=0.2)
+
+
+def skydiver(rng):
+    """A fall from 4 km, seen every second, in air that thins by a factor of e in 8.5 km."""
+    times = np.arange(60.0)
+    height = solve_ivp(
+        lambda _, s: [s[1], -9.81 + 3.4e-3 * np.exp(-s[0] / 8500) * s[1] ** 2],
+        (0, times[-1]), [4000.0, 0.0], t_eval=times, rtol=1e-9,
+    ).y[0]  # fmt: skip
+    frame = pd.DataFrame({"t": times, "y": height + 2.0 * rng.standard_normal(60)})
+    return bsp_gp.Dataset.from_frames(
+        frame, units={"length": "m", "time": "s"}, properties={"mass": "1[kg]"}
+    )
+
+
+@pytest.mark.slow
+def test_air_thins_with_the_height():
+    """The first 14 s were left out as a hand's, and the rest told as a push upwards."""
+    report = bsp_gp.close_loop(skydiver(np.random.default_rng(0)), (), rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    found = {c.name: c for c in report.constants}
+    assert found["D1"].value == pytest.approx(8500, rel=0.15)
+    assert found["c2"].value == pytest.approx(-9.81, abs=0.5)
+    assert "linear in speed" not in bsp_gp.summary_text(report)

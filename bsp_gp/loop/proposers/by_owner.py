@@ -17,7 +17,7 @@ from bsp_gp.physics.force import Term, fresh_name, fresh_names, split_linear
 from bsp_gp.search.columns import orthonormal
 
 FEWEST, LEAST = 3, 2
-"""Scenes, or bodies, of which numbers of their own are no mere pair; and beside a law for all."""
+"""Scenes, or bodies, of which numbers of their own are no mere pair; beside a law for all."""
 MOST_SHARED, MOST_OWNERS = 3, 12
 """Laws of one strength for all beside which one of a strength for each is asked for, and owners."""
 SIZES = np.geomspace(1e-3, 1e6, 73)
@@ -57,7 +57,7 @@ class ByOwner:
                 if is_along(columns.sum(axis=1), declared):
                     continue  # another number of a declared term for each, see `Varying`
                 score = view.score_forces(columns)
-                if score.rank < LEAST:
+                if score.rank < (LEAST if by == "body" and not ties else FEWEST):
                     continue
                 if score.rank < FEWEST:
                     together = evidence_of(view, columns.sum(axis=1, keepdims=True))

@@ -89,8 +89,12 @@ class Swings:
 def _about(view, search, form):
     """A spring about the middle of all places, its strength open."""
     scenes = view.dataset.scenes
-    places = np.concatenate([s.positions[:, k] for s in scenes for k in s.dynamic])
+    tracks = [s.positions[:, k] for s in scenes for k in s.dynamic]
+    places = np.concatenate(tracks)
     middle, extent = np.nanmean(places, axis=0), float(np.nanmax(np.nanstd(places, axis=0)))
+    if len(scenes[0].dynamic) > 1:  # the mean of one that has not swung often is beside the middle
+        ends = [(np.nanmin(track, axis=0) + np.nanmax(track, axis=0)) / 2 for track in tracks]
+        middle = np.median(ends, axis=0)
     size = 1.0 if _is_sine(form) else SHARE * extent  # rad
     at = [
         middle["xyz".index(axis.name[-1])] if axis.name.startswith((PLACE, "h_"))
