@@ -148,3 +148,27 @@ def test_a_weight_on_a_rubber_band_falls_freely_above_its_end():
     assert report.verdict == "effect adopted"
     assert found["h_y1"].value == pytest.approx(2.0, abs=0.01)
     assert "rubber band" in bsp_gp.summary_text(report)
+
+
+def on_a_hoop(rng):
+    """The angle of a bead on a hoop that turns, which is driven by two waves a turn."""
+    times = np.arange(0.0, 12.0, 0.03)
+    angle = solve_ivp(
+        lambda _, s: [s[1], (60.0 * np.cos(s[0]) - 32.7) * np.sin(s[0]) - 0.2 * s[1]],
+        (0, times[-1]), [1.4, 0.0], t_eval=times, rtol=1e-9,
+    ).y[0]  # fmt: skip
+    noise = 0.005 * rng.standard_normal(len(times))
+    return bsp_gp.Dataset.from_frames(
+        pd.DataFrame({"t (s)": times, "theta (rad)": angle + noise}), properties={"mass": "1[kg]"}
+    )
+
+
+@pytest.mark.slow
+def test_what_drives_an_angle_is_expanded_in_waves_of_a_turn():
+    """Four powers of the angle, an effective law, had been told."""
+    report = bsp_gp.close_loop(on_a_hoop(np.random.default_rng(0)), (), rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    told = {c.value for c in report.constants}
+    for true in (-32.7, 30.0, -0.2):
+        assert any(value == pytest.approx(true, rel=0.02) for value in told)
+    assert "sin(2 * theta_i)" in bsp_gp.summary_text(report)

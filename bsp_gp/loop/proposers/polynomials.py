@@ -3,7 +3,8 @@
 What drives one body to and fro, or about a point, need be no form of a textbook, but can be
 expanded. Moments are linear in the coefficients, so that sets of powers are chosen as a whole
 (sparse regression in weak form; Brunton et al. 2016, Messenger and Bortz 2021): of coordinates
-about the origin, on a line about a place that is fitted, and of the distance to such a place.
+about the origin, on a line about a place that is fitted, and of the distance to such a place. What
+drives an angle is expanded in waves of a turn.
 """
 
 import math
@@ -35,6 +36,8 @@ LARGEST_ABOUT = 3
 """Terms in one sum about a centre."""
 ODD = NEW + 1
 """How much a term adds that no textbook has: a power beyond the third, a drag by a place."""
+WAVES = {1: (1, ODD), 2: (NEW, ODD)}
+"""Waves a turn of what drives an angle, and how new their sines and cosines are."""
 FAR = 2.0
 """Extents of the tracks from the origin at which powers are still taken about it."""
 ACROSS = 5
@@ -76,6 +79,8 @@ class Polynomials:
         is_flat = len(axes) <= 2
         if is_flat and all(max(abs(low), abs(high)) < FAR * (high - low) for low, high in extents):
             libraries.append(_about_origin(view, axes))
+        if view.dataset.units.is_angle:
+            libraries.append(_of_an_angle(view, axes[0]))
         if len(axes) == 1:
             libraries.append(_about_a_place(view, axes[0], *extents[0]))
         else:
@@ -96,6 +101,19 @@ def _about_origin(view, axes):
     coordinates = [coordinate_of(types, axis) for axis in axes]
     highest = HIGHEST if len(axes) == 1 else HIGHEST_IN_PLANE
     return library_of(view, _rows(view, coordinates, highest))
+
+
+def _of_an_angle(view, axis):
+    """Waves in an angle, as weights, fields and turning frames make them: one and two a turn."""
+    types = dataset_types(view.dataset)
+    coordinate, direction = coordinate_of(types, axis)
+    turned = Call("div", coordinate, Number(1.0, coordinate.type.unit, "1 [rad]"))
+    rows = [(direction, 0), *drags(view, [axis])]
+    for often, new_ones in WAVES.items():
+        angle = Call("mul", Number(float(often)), turned) if often > 1 else turned
+        rows += [(product([Call(wave, angle), direction]), new)
+                 for wave, new in zip(("sin", "cos"), new_ones, strict=True)]  # fmt: skip
+    return library_of(view, rows)
 
 
 def _about_a_place(view, axis, low, high):
