@@ -185,6 +185,7 @@ class _State:
         self.report, self.stands, self.left, self.inseparable = None, False, ("no_law",), ()
         self.part, self.is_misfit, self.n_misfits = 1.0, False, 0
         self.n_lost = 0  # rounds since a law was found that fits
+        self.longest = 1.0  # part of the time of which enough rows are calm
         self.is_foretold = False  # whether the law foresaw the experiments of this round
         self.is_at_ends = False  # whether experiments were made at the ends of the means
 
@@ -195,7 +196,7 @@ class _State:
         count = self.means.at_once
         if self.left == ("untried",):
             self.is_at_ends = True
-            chosen = at_the_ends(self.means, self.experiments, rng, self.part, max(count, 1))
+            chosen = at_the_ends(self.means, self.experiments, rng, max(count, 1))
             if chosen:
                 return chosen
         if self.rivals and not self.is_misfit:
@@ -205,7 +206,9 @@ class _State:
                 return [o.experiment for o in found.options[:count]]
             if self.left == ("rivals",):
                 return []
-        return [self.means.draw(rng, self.part) for _ in range(count)]
+        # What is short may be calm beside what nobody sees; what changes with time takes long.
+        parts = (self.part, self.longest if self.n_lost else self.part)
+        return [self.means.draw(rng, parts[k % 2]) for k in range(count)]
 
     def make(self, run, chosen, rng):
         """Make experiments; in place of those that the apparatus refuses others by chance.
@@ -260,7 +263,7 @@ class _State:
         scenes = self.scenes()
         calm_scenes = [calm(s) for s in scenes]
         self._choose_part(scenes, calm_scenes)
-        if self.n_lost:
+        if self.n_lost % 2:
             calm_scenes = [self._short(s) for s in calm_scenes]
         calm_scenes = [s for s in calm_scenes if len(s.times) >= LEAST_ROWS] or scenes
         self.is_foretold, whole = False, self.means.dataset(scenes)
@@ -317,8 +320,10 @@ class _State:
         shown = np.median([_departure(s)[-1] / max(self._noise(s), 1e-300) for s in near])
         if kept < FEW or (self.n_lost and shown > CLEARLY):
             self.part = max(self.part / 2, 1e-3)
+            self.longest = self.part if kept < FEW else self.longest
         elif shown < SEEN:
             self.part = min(self.part * 2, 1.0)
+            self.longest = max(self.longest, self.part)
 
     def _short(self, scene):
         """The rows of a scene that an experiment as short as the next ones has."""
@@ -425,7 +430,8 @@ class _State:
         content = {
             "schema": "bsp_gp/discovery/1", "round": number, "stands": self.stands,
             "open": list(self.left), "part": self.part, "is_misfit": self.is_misfit,
-            "is_at_ends": self.is_at_ends, "n_lost": self.n_lost, "experiments": [
+            "is_at_ends": self.is_at_ends, "n_lost": self.n_lost,
+            "longest": self.longest, "experiments": [
                 {**e.to_dict(), "seen": _plain(r)}
                 for e, r in zip(self.experiments, self.recordings, strict=True)
             ],
@@ -455,7 +461,7 @@ class _State:
             self.left, self.stands = tuple(content["open"]), content["stands"]
             self.part, self.is_misfit = content["part"], content["is_misfit"]
             self.is_at_ends = content.get("is_at_ends", False)
-            self.n_lost = content.get("n_lost", 0)
+            self.n_lost, self.longest = content.get("n_lost", 0), content.get("longest", 1.0)
             return int(content["round"])
         except (OSError, ValueError, KeyError, TypeError, LawError) as error:
             raise DataError(f"this is no discovery to go on from ({error})", file=file,

@@ -10,7 +10,7 @@ N_DRAWN = 256
 """Experiments by chance among which ends are looked for."""
 
 
-def at_the_ends(means, tried, rng, part=1.0, count=1):
+def at_the_ends(means, tried, rng, count=1):
     """Experiments that begin further out than all that were tried, each in one respect.
 
     Parameters
@@ -18,18 +18,16 @@ def at_the_ends(means, tried, rng, part=1.0, count=1):
     means : Means
     tried : sequence of Experiment
     rng : numpy.random.Generator
-    part : float
-        Of the time that is drawn.
     count : int
         At the most.
 
     Returns
     -------
     list of Experiment
-        The closest pair first, then the widest, the fastest and the slowest body, and the least
-        and greatest of every property and coordinate.
+        The closest pair first, then the widest, the longest and the shortest, the fastest and the
+        slowest body, and the least and greatest of every property and coordinate.
     """
-    drawn = [means.draw(rng, part) for _ in range(N_DRAWN)]
+    drawn = [means.draw(rng) for _ in range(N_DRAWN)]
     known = [_respects(experiment) for experiment in tried]
     found = [_respects(experiment) for experiment in drawn]
     chosen: dict = {}
@@ -52,7 +50,7 @@ def _respects(experiment):
             for k in moving for j in range(len(places)) if j != k]  # fmt: skip
     if gaps:
         out |= {"gap": min(gaps)}
-    out |= {"speed": max(speeds, default=0.0)}
+    out |= {"time": -experiment.times[-1], "speed": max(speeds, default=0.0)}
     for k in moving:
         body = experiment.bodies[k]
         out |= {f"{name} of {body.name}": value for name, value in body.properties.items()}

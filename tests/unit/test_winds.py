@@ -178,3 +178,18 @@ def test_air_thins_with_the_height():
     assert found["D1"].value == pytest.approx(8500, rel=0.15)
     assert found["c2"].value == pytest.approx(-9.81, abs=0.5)
     assert "linear in speed" not in bsp_gp.summary_text(report)
+
+
+@pytest.mark.slow
+def test_what_sinks_at_a_steady_speed_soon_falls_by_its_weight():
+    """A few rows tell of it: a force that fades with a length had been told, that helped nothing."""
+    times = np.arange(0.0, 1.5, 0.02)
+    drop = 9.81 / 13 * (times - (1 - np.exp(-13 * times)) / 13)
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(len(times))
+    data = bsp_gp.Dataset.from_frames(
+        pd.DataFrame({"t": times, "y": 1.2 - drop + noise}), units={"length": "m", "time": "s"},
+        properties={"mass": "1[kg]"},
+    )  # fmt: skip
+    report = bsp_gp.close_loop(data, (), rng=0, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    assert "uniform push along y; drag" in bsp_gp.summary_text(report)

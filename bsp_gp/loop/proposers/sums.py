@@ -9,11 +9,12 @@ import numpy as np
 from scipy import stats
 
 from bsp_gp.fitting.response import RESOLVED
-from bsp_gp.language.formula import Call, Constant, factors
+from bsp_gp.language.formula import Call, Constant, Input, factors, substitute
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposers.priors import vector_of
+from bsp_gp.loop.proposers.priors import drives, vector_of
 from bsp_gp.loop.view import MOST_PAIRS
+from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, split_linear
 from bsp_gp.search.candidate import Candidate
 from bsp_gp.search.exhaustive import law_pool
@@ -25,6 +26,8 @@ MOST_BEST = 12
 """Laws of pairs in sets, where these are too many to be all evaluated."""
 LEAST_APART = 0.02
 """Part of a law, squared, that must lie beside another for the two to be told apart."""
+SAME = 1e-9
+"""Part of a law, squared, by which another may differ that is one with it on these data."""
 LEAST_USUAL = 0.002
 """The same of two usual laws: drag is often linear and quadratic at once, much alike on a swing."""
 SIMILAR = 0.01
@@ -126,22 +129,55 @@ def sets_of(view, laws, found, declared):
     free[np.unique(marks, return_index=True)[1]] = True  # a law that is written twice is one
     for direction in declared:
         free &= 1 - np.square(direction @ own) > LEAST_APART
-    pool = [law for law, is_free in zip(pool, free, strict=True) if is_free]
-    unit, size = _unit(view, columns[:, free])
+    pool, columns = [pool[k] for k in np.flatnonzero(free)], columns[:, free]
+    steady = [_steady_twin(view, law, columns[:, k]) for k, law in enumerate(pool)]
+    unit, size = _unit(view, columns)
     subsets = best_subsets(unit, view.left, LARGEST)
     chosen = [s for n in range(2, LARGEST + 1) for _, s in subsets.get(n, ())[:MOST_SETS]]
-    return [_set(view, [pool[k] for k in s], unit[:, s], size[list(s)]) for s in chosen]
+    return [
+        _set(view, [pool[k] for k in s], unit[:, s], size[list(s)], [steady[k] for k in s])
+        for s in chosen
+    ]
 
 
-def _set(view, members, unit, size):
+def _steady_twin(view, law, column):
+    """A push along an axis that is one with a force along the velocity on these data.
+
+    Returns
+    -------
+    (law, float) or None
+        And how much of it the other is.
+    """
+    formula, complexity, kind = law
+    types = dataset_types(view.dataset)
+    along = Call("normalize", Input("v_i", types["v_i"]))
+    above, below = factors(formula)
+    rest = [f for f in (*above, *below) if f != along]
+    if along not in above or kind != "field" or any("v_i" in f.inputs for f in rest):
+        return None
+    for axis in np.flatnonzero(np.isfinite(view.fit.noise.levels)):
+        direction = Input(f"e_{'xyz'[axis]}", types[f"e_{'xyz'[axis]}"])
+        push = substitute(formula, {along: direction})
+        own = view.response.regression.column(Term(push, kind))[0][:, 0]
+        share = float(own @ column) / float(own @ own)
+        if np.square(column - share * own).sum() < SAME * np.square(column).sum():
+            return (push, complexity, kind), share
+    return None
+
+
+def _set(view, members, unit, size, steady):
     amounts, *_ = np.linalg.lstsq(unit, view.left, rcond=None)
     total = float(view.left @ view.left)
     gain = total - float(np.square(view.left - unit @ amounts).sum())
+    amounts, members = amounts / size, list(members)
+    for k, twin in enumerate(steady):  # what drives a body along its way is rather a weight
+        if twin is not None and drives(members[k][0], float(amounts[k])):
+            members[k], amounts[k] = twin[0], amounts[k] * twin[1]
     candidates = tuple(
         Candidate(Call("mul", Constant("c1"), formula), kind, {}, 0.0, complexity, 0.0, total)
         for formula, complexity, kind in members
     )
-    return candidates, amounts / size, gain
+    return candidates, amounts, gain
 
 
 def _columns(view, found):
