@@ -182,7 +182,7 @@ def test_air_thins_with_the_height():
 
 @pytest.mark.slow
 def test_what_sinks_at_a_steady_speed_soon_falls_by_its_weight():
-    """A few rows tell of it: a force that fades with a length had been told, that helped nothing."""
+    """A few rows tell of it: a force that fades with a length had been told."""
     times = np.arange(0.0, 1.5, 0.02)
     drop = 9.81 / 13 * (times - (1 - np.exp(-13 * times)) / 13)
     noise = 1e-3 * np.random.default_rng(2).standard_normal(len(times))
