@@ -56,12 +56,13 @@ class ByOwner:
                     continue
                 if is_along(columns.sum(axis=1), declared):
                     continue  # another number of a declared term for each, see `Varying`
-                score = view.score_forces(columns)
-                if score.rank < (LEAST if by == "body" and not ties else FEWEST):
+                if len(keys) < FEWEST:
+                    if by == "body" and not ties and np.any(columns, axis=0).all():
+                        together = evidence_of(view, columns.sum(axis=1, keepdims=True))
+                        asked.append(_Asked(rest, by, keys, columns, cost, together))
                     continue
+                score = view.score_forces(columns)
                 if score.rank < FEWEST:
-                    together = evidence_of(view, columns.sum(axis=1, keepdims=True))
-                    asked.append(_Asked(rest, by, keys, columns, cost, together))
                     continue
                 n_tried += 1
                 null = np.maximum(null, as_pair(view.null_forces(columns), score.rank))
@@ -217,6 +218,7 @@ def evidence_of(view, columns, taken=None):
     beside = view.beside(columns)
     if taken is not None:
         beside = beside - taken @ (taken.T @ beside)
+    beside = beside / (np.abs(beside).max() or 1.0)  # squares of what is tiny would be nothing
     basis, sizes, _ = np.linalg.svd(beside, full_matrices=False)
     squares, sizes = np.square(basis.T @ view.left), np.square(sizes)
     share = np.square(SIZES)[:, None] * sizes / sizes.mean()
