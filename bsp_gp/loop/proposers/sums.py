@@ -159,7 +159,7 @@ def _steady_twin(view, law, column):
         direction = Input(f"e_{'xyz'[axis]}", types[f"e_{'xyz'[axis]}"])
         push = substitute(formula, {along: direction})
         own = view.response.regression.column(Term(push, kind))[0][:, 0]
-        share = float(own @ column) / float(own @ own)
+        share = float(own @ column) / (float(own @ own) or 1.0)
         if np.square(column - share * own).sum() < SAME * np.square(column).sum():
             return (push, complexity, kind), share
     return None
