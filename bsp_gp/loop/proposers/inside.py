@@ -37,7 +37,8 @@ MOST_WEIGHTS = 400_000
 """Products that the moments of one force are made of, above which forms that act on bodies by
 themselves are scanned on a part of the chains, and the best of them scored on all."""
 MOST_LEADING = 8
-"""Of the likeliest laws of the grammar, those that are tried beside forms as textbooks' are."""
+"""Of the likeliest pair laws of the grammar, those tried beside forms as textbooks' are: a source
+that is seen beside one that is not."""
 MOST_LEADS, MOST_SUMS, LARGEST = 3, 3, 3
 """Forms beside which laws are sought, sets of these of each size, and terms of a sum."""
 ROUNDING = 1e-9
@@ -125,8 +126,8 @@ class Inside:
             sizes = {len(s.axes): s for s in reversed(closer)}
             leads = dict.fromkeys((*sizes.values(), *closer[:MOST_LEADS]))
             leads = leads if is_enough else (*leads, None)
-            best = [f for f in view.leading if not f.constants][:MOST_LEADING]
-            best = [Call("mul", Constant("c1"), form) for form in best]
+            best = [f for f in view.leading if not f.constants and kind_of(f) == "pair"]
+            best = [Call("mul", Constant("c1"), form) for form in best[:MOST_LEADING]]
             laws = _shown(view, dict.fromkeys((*self.common, *best)))
             alone = cache(lambda: waves_alone(view))
             every += [p for lead in leads for p in _sums(view, search, lead, laws, alone)]
@@ -224,6 +225,8 @@ def _sum(view, search, scan, own, laws, columns, wave=None):
         values = dict.fromkeys(names.values(), float(amount))
         hypothesis, law = with_term(hypothesis, term, values), law.plus(term, values)
         starts, formulas = {**starts, **values}, [*formulas, term.formula]
+    least = view.criteria.cause_nats  # of laws of textbooks; others cost what they do alone
+    odd_nats = sum(max(view.leading.get(split_linear(law)[1], 0.0) - least, 0.0) for law in laws)
     bounds, rank, n_more = one.bounds, one.rank + len(laws), len(laws)
     if wave is not None:
         hypothesis = hypothesis + wave.part
@@ -233,7 +236,7 @@ def _sum(view, search, scan, own, laws, columns, wave=None):
     return replace(
         one, text=" + ".join(map(to_text, formulas)), hypothesis=hypothesis, starts=starts,
         bounds=bounds, formulas=tuple(formulas), ties=(), gain=float(gain), rank=rank,
-        log_prior=one.log_prior - view.criteria.cause_nats * n_more,
+        log_prior=one.log_prior - view.criteria.cause_nats * n_more - odd_nats,
     )  # fmt: skip
 
 
