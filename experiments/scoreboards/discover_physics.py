@@ -6,8 +6,8 @@ at will, recordings are made by chance within the ranges of the instructions, an
 `bsp_gp.close_loop` is asked, of calm rows alone where what it finds does not fit all. The noise is
 the benchmark's (7.5 % of the spread of its test motions, of every place). The error is its own: the
 mean square over its test motions, by their variance. The form of a law between two bodies is right
-if, its exponents rounded to 0.1 and its lengths and rates free, it is proportional to the true force
-within 5 % over nine tenths of what was tried; laws of many bodies are left to a reader.
+if, its exponents rounded to 0.1 and its lengths and rates free, it is proportional to the true
+force within 5 % over nine tenths of what was tried; laws of many bodies are left to a reader.
 
     python experiments/scoreboards/discover_physics.py --repo PATH --out DIR [--worlds gravity]
 """
