@@ -175,13 +175,9 @@ def read_forms(grammar, dataset, properties, available):
     forms = []
     for part in (table.get("common", ()), (*table.get("laws", ()), *planes)):
         own = {}
-        for each in (e for text in part for e in expanded(text, lists)):
-            try:
-                formula = parse_formula(each.removeprefix("1 * "), types, units=dataset.units)
-            except BspError:  # it names what these data do not have
-                continue
-            is_defined = is_across_in(each, dataset.n_dims)
-            if is_defined and formula.inputs <= available and _are_told(formula, dataset):
+        texts = (e for text in part for e in expanded(text, lists))
+        for each, formula in sayable(texts, types, dataset.units, available):
+            if is_across_in(each, dataset.n_dims) and _are_told(formula, dataset):
                 _check(formula, each, table.get("ranges", {}))
                 own[formula] = None
         forms += [Form(Term(f, kind_of(f)), float(np.log(len(own)))) for f in own]
@@ -216,6 +212,17 @@ def _check(formula, text, ranges):
         raise GrammarError(
             f"[inside] {text!r} must be a vector with constants inside, without its strength"
         )
+
+
+def sayable(texts, types, units, available):
+    """Of texts of forms those that name nothing but what is available, each with its formula."""
+    for text in texts:
+        try:
+            formula = parse_formula(text.removeprefix("1 * "), types, units=units)
+        except BspError:  # it names what these data do not have
+            continue
+        if formula.inputs <= available:
+            yield text, formula
 
 
 def expanded(text, lists):

@@ -17,19 +17,25 @@ SIGMA, RATE, SHARE = 0.003, 7.0, 0.3
 SPRING = "k * (p_j - p_i)"
 
 
+def beside_a_post(pull, start, times, name, rng):
+    """A body that is pulled by ``pull(t, place)`` beside a post at the origin."""
+    track = solve_ivp(
+        lambda t, y: np.concatenate([y[2:], pull(t, y[:2])]), (0.0, times[-1]), start,
+        t_eval=times, rtol=1e-9, atol=1e-10,
+    )  # fmt: skip
+    places = track.y[:2].T + SIGMA * rng.standard_normal((len(times), 2))
+    places = np.stack([places, np.zeros_like(places)], axis=1)
+    return scene_of(times, (body("bob"), body("post", is_static=True)), places, name=name)
+
+
 def swung(share):
     """A body on a spring to a post, whose strength has a period."""
     rng, times, scenes = np.random.default_rng(2), np.linspace(0.0, 3.0, 80), []
     for k in range(3):
         start = np.concatenate([rng.uniform(-1, 1, 2), rng.uniform(-1, 1, 2)])
-        track = solve_ivp(
-            lambda t, y: np.concatenate([y[2:], -6.0 * (1 + share * np.cos(RATE * t)) * y[:2]]),
-            (0.0, 3.0), start, t_eval=times, rtol=1e-9, atol=1e-10,
-        )  # fmt: skip
-        places = track.y[:2].T + SIGMA * rng.standard_normal((len(times), 2))
-        places = np.stack([places, np.zeros_like(places)], axis=1)
-        crew = (body("bob"), body("post", is_static=True))
-        scenes.append(scene_of(times, crew, places, name=f"s{k}"))
+        scenes.append(beside_a_post(
+            lambda t, p: -6.0 * (1 + share * np.cos(RATE * t)) * p, start, times, f"s{k}", rng
+        ))  # fmt: skip
     return dataset_of(scenes, noise=(SIGMA, SIGMA))
 
 
@@ -64,14 +70,9 @@ def alternating():
         times = np.linspace(0.0, 4.0, 16)
         place = rng.uniform(1, 4, 2) * rng.choice([-1, 1], 2)
         start = np.concatenate([place, rng.normal(0, 0.5, 2)])
-        track = solve_ivp(
-            lambda t, y: np.concatenate([y[2:], -np.cos(2.3 * t) * y[:2] / (y[:2] @ y[:2])]),
-            (0.0, 4.0), start, t_eval=times, rtol=1e-9, atol=1e-10,
-        )  # fmt: skip
-        places = track.y[:2].T + SIGMA * rng.standard_normal((len(times), 2))
-        places = np.stack([places, np.zeros_like(places)], axis=1)
-        crew = (body("probe"), body("post", is_static=True))
-        scenes.append(scene_of(times, crew, places, name=f"s{k}"))
+        scenes.append(beside_a_post(
+            lambda t, p: -np.cos(2.3 * t) * p / (p @ p), start, times, f"s{k}", rng
+        ))  # fmt: skip
     return dataset_of(scenes, noise=(SIGMA, SIGMA))
 
 

@@ -5,19 +5,17 @@ A strength that has a mean is found by that first, and its wave beside it (`puls
 
 import numpy as np
 
-from bsp_gp.errors import BspError, EvaluationError
+from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.hypothesis import Forces
-from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.language.formula import Call, Constant
-from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.proposers.libraries import asks_series
-from bsp_gp.loop.proposers.periods import FAR, Scan, rates_of
+from bsp_gp.loop.proposers.periods import FAR, Scan, cosine_and_sine, rates_of
 from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
-from bsp_gp.search.inner import expanded
+from bsp_gp.search.inner import expanded, sayable
 
 MOST = 3
 """Forms that are proposed."""
@@ -39,18 +37,11 @@ class Alternating:
     name = "alternating"
 
     def __init__(self, laws, dataset):
-        types = dataset_types(dataset)
-        table = laws.grammar.inside
+        table, types = laws.grammar.inside, dataset_types(dataset)
         texts = [e for text in table.get("alternating", ())
                  for e in expanded(text, {**table, "0": laws.properties})]  # fmt: skip
-        self.forms = {}
-        for text in texts:
-            try:
-                form = parse_formula(text.removeprefix("1 * "), types, units=dataset.units)
-            except BspError:  # it names what these data do not have
-                continue
-            if form.inputs <= laws.available:
-                self.forms[form] = float(np.log(len(texts)))
+        forms = (form for _, form in sayable(texts, types, dataset.units, laws.available))
+        self.forms = {form: float(np.log(len(texts))) for form in forms}
 
     def propose(self, view):
         """The family of all forms, where bodies move beside others and no law explains them."""
@@ -66,9 +57,8 @@ class Alternating:
                 kernel = scan.kernel_of(ForceLaw((Term(form, "pair"),), {}))
             except EvaluationError:
                 continue
-            gains = scan.gains([kernel])[(0,)]
-            even, k = as_pair(gains, 2), int(np.argmax(gains[:, 0]))
-            found.append((*scan.closer([kernel], rates[k], gains[k, 0]), form, nats, even))
+            rate, gain, even = scan.best(kernel)
+            found.append((rate, gain, form, nats, even))
         if not found:
             return nothing
         null = np.max([even[:, 1:].max(axis=0) for *_, even in found], axis=0)
@@ -87,9 +77,7 @@ def _proposal(view, rates, rate, gain, form, nats):
     """The form times a wave about nothing."""
     a, b, w = (fresh_name(view.fit.law, stem) for stem in ("a", "b", "w"))
     angle = Call("mul", Constant(w), view.since(FAR))
-    wave = Call("add", *(Call("mul", Constant(n), Call(f, angle))
-                         for n, f in ((a, "cos"), (b, "sin"))))  # fmt: skip
-    formula = Call("mul", wave, form)
+    formula = Call("mul", Call("add", *cosine_and_sine((a, b), angle)), form)
     law = ForceLaw((Term(formula, "pair"),), {a: np.nan, b: np.nan, w: rate})
     return Proposal(
         "law", to_text(formula), view.hypothesis + Forces(law),

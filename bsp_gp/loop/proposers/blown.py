@@ -32,8 +32,6 @@ MOST_LOOKS = 200
 """Winds that are tried."""
 MOST_PUSHES = 3
 """Beside the drag, along the axes."""
-
-
 THINNEST, THICKEST = 0.25, 16.0
 """Extents of a track in which the air thins by a factor of e."""
 
@@ -82,9 +80,9 @@ def _thinning(view, axes, upright):
     low, high = extent_of(view, upright)
     middle, way = float(f"{(low + high) / 2:.2g}"), f"e_{'xyz'[upright]}"
     height, found = f"dot(p_i - (origin + {middle!r} [m] * {way}), {way})", []
+    extents = ((THINNEST * (high - low), THICKEST * (high - low)),)
     for sign in ("-", ""):  # the axis may point down
         drag = parse_formula(f"exp({sign}{height} / {name}) * norm(v_i) * v_i", types)
-        extents = ((THINNEST * (high - low), THICKEST * (high - low)),)
         placed = Placed(view, [(drag, NEW), *_pushes(types, axes)], (name,), extents, Unit.of(m=1))
         library = placed.best_on_line()
         found += [library] if library else []

@@ -212,6 +212,13 @@ class Scan:
             self._known[key] = kernel[0], found  # kept with its kernel: another may get its id
         return self._known[key][1]
 
+    def best(self, kernel):
+        """The best rate of one kernel, what it gains, and all gains as of pairs, (F, 1 + B)."""
+        gains = self.gains([kernel])[(0,)]
+        k = int(np.argmax(gains[:, 0]))
+        rate, gain = self.closer([kernel], self.rates[k], gains[k, 0])
+        return rate, gain, as_pair(gains, 2)
+
     def peaks(self, kernel):
         """The highest peaks of the gain, looked at closely, as pairs of rate and gain."""
         gain = self.gains([kernel])[(0,)][:, 0]
@@ -319,6 +326,12 @@ def coordinate_of(types, axis):
     return Call("dot", place, direction), direction
 
 
+def cosine_and_sine(names, angle):
+    """The two terms of a wave, each times a constant of these names."""
+    waves = zip(names, ("cos", "sin"), strict=True)
+    return [Call("mul", Constant(name), Call(wave, angle)) for name, wave in waves]
+
+
 def _push(view, axes, has_mass, is_placed=False):
     """Terms of one rate, one per axis, and their constants, the rate last."""
     rate = Constant(fresh_name(view.fit.law, "w"))
@@ -341,12 +354,9 @@ def waving(view, axes, rate, angle_of, has_mass, is_placed=False):
     types, constants = dataset_types(view.dataset), {}
     terms, stems = [], iter(("a", "b", "g", "h", "k", "l"))
     for axis in axes:
-        parts = []
-        for wave in ("cos", "sin"):
-            name = fresh_name(view.fit.law, next(stems))
-            constants[name] = np.nan
-            parts.append(Call("mul", Constant(name), Call(wave, angle_of(axis))))
-        formula = Call("add", *parts)
+        names = [fresh_name(view.fit.law, next(stems)) for _ in range(2)]
+        constants |= dict.fromkeys(names, np.nan)
+        formula = Call("add", *cosine_and_sine(names, angle_of(axis)))
         if has_mass:
             formula = Call("mul", formula, Input("m_i", types["m_i"]))
         coordinate, direction = coordinate_of(types, axis)

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.language.formula import Call, Constant, Number
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term_at
-from bsp_gp.loop.proposers.periods import FAR, Scan, rates_of
+from bsp_gp.loop.proposers.periods import FAR, Scan, cosine_and_sine, rates_of
 from bsp_gp.physics.force import ForceLaw, fresh_name
 
 
@@ -27,11 +26,8 @@ class Pulsing:
                 continue
             known = {name: law.constants[name] for name in term.formula.constants}
             kernel = scan.kernel_of(ForceLaw((term,), known))
-            gains = scan.gains([kernel])[(0,)]
-            even = as_pair(gains, 2)
+            rate, gain, even = scan.best(kernel)
             null, best = np.maximum(null, even[:, 1:].max(axis=0)), max(best, even[:, 0].max())
-            k = int(np.argmax(gains[:, 0]))
-            rate, gain = scan.closer([kernel], rates[k], gains[k, 0])
             proposals.append(_proposal(view, index, rates, rate, gain))
         proposals.sort(key=lambda p: -p.promise)
         return Family(
@@ -45,7 +41,7 @@ def _proposal(view, index, rates, rate, gain):
     term = law.terms[index]
     a, b, w = (fresh_name(law, stem) for stem in ("a", "b", "w"))
     angle = Call("mul", Constant(w), view.since(FAR))
-    waves = [Call("mul", Constant(n), Call(f, angle)) for n, f in ((a, "cos"), (b, "sin"))]
+    waves = cosine_and_sine((a, b), angle)
     strength = Call("add", Call("add", Number(1.0), waves[0]), waves[1])
     formula = Call("mul", strength, term.formula)
     bounds = {w: (float(rates[0]), float(rates[-1]))}
