@@ -18,6 +18,9 @@ FALL = np.round(2 - 4.905 * T**2, 6)
 SPRING = np.round(0.25 + 0.1 * np.cos(6 * T), 6)
 ACROSS = np.round(1.5 * T, 6)
 OBJECT = "object"
+EASTWARD, NORTHWARD = 74_625.3536, 111_190.3226
+"""A degree at 48 degrees north, m: a cos(phi) / (1 - e^2 sin^2 phi)^(1/2) times pi / 180, and along
+the meridian a (1 - e^2) / (1 - e^2 sin^2 phi)^(3/2) times that."""
 END = "***End_of_Header***"
 LVM = ["LabVIEW Measurement", "Writer_Version\t2", "Reader_Version\t2"]
 SEGMENT = ["Channels\t1", "X_Dimension\tTime", "X0\t0,0E+0", "Delta_X\t0,05", END,
@@ -283,9 +286,10 @@ LATER = {
     ).encode() + b"$$EOE\n" + b"*" * 79 + b"\n", {(None, "Mars"): (
         86400 * (2451545.0 + np.arange(8)), AU * ACROSS, AU * FALL)}),
     "gps": Sample("glider.csv", table(
-        "time,lat,lon,ele", [f"2024-05-04T10:00:0{k}Z" for k in range(8)], 48 + 1e-5 * T,
-        9 + 1e-5 * T, 100 * FALL,
-    ).encode(), refused=("lat", "--columns")),
+        "time,lat,lon,ele", [f"2024-05-04T10:00:0{k}Z" for k in range(8)], 48 + 2e-5 * T,
+        9 + 2e-5 * T, 100 * FALL,
+    ).encode(), one(2e-5 * T * EASTWARD, 2e-5 * T * NORTHWARD, t=np.arange(8.0)), up="z",
+        told=("WGS 84", "'ele' as the height")),
     "kinovea": Sample("jump.csv", table(
         "Time (ms);Trajectory 1 X (m);Trajectory 1 Y (m)", 1000 * T, ACROSS, FALL, sep=";",
         decimal=",",

@@ -66,14 +66,14 @@ _AXIS_WORDS = _set("richtung direction achse axis axe eje asse axial")
 """Beside a symbol: ``x-Richtung``."""
 _MAP_WORDS = _set("northing hochwert")
 _UPRIGHT_WORDS = _set("vertical vertikal vertikale verticale verticali senkrecht senkrechte")
-_SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v")
+_SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v rv")
 _ACCELERATION_WORDS = _set(
     "acceleration accelerometer beschleunigung accélération aceleración aceleracion accelerazione"
     " acc accel"
 )
 _ERROR_WORDS = _set(
     "error err std sd sigma uncertainty accuracy precision fit model residual fehler unsicherheit"
-    " genauigkeit likelihood confidence incertitude"
+    " genauigkeit likelihood confidence incertitude delta"
 )
 _DOUBT_WORDS = _ERROR_WORDS | _set(
     "quality qualität qualité calidad qualità score prob probability visible visibility occluded"
@@ -85,7 +85,10 @@ _WHOSE_SPEED_WORDS = _set(
     "gps ground gnss abs absolute magnitude total norm modulus horizontal vertical x y z 2d 3d m s"
     " mps ms km h kmh kph cm mm px momentary instantaneous average mean smoothed filtered raw"
 )
-_OTHER_WORDS = _set("gyroscope gyro magnetic field force kraft rotation angular omega winkel angle")
+_OTHER_WORDS = _set(
+    "gyroscope gyro magnetic field force kraft rotation angular omega winkel angle torque"
+    " drehmoment throttle pwm duty setpoint"
+)
 _TURN_WORDS = _set("orientation quaternion quat rotation attitude angular")
 """``pose.orientation.x`` is no place."""
 _PLACES = ("x", "y", "z")
@@ -152,7 +155,7 @@ _GUESSES = {
     "x": _PLACE_WORDS | _set("distance dist strecke abstand entfernung auslenkung distanz distanza"
                              " distancia déplacement desplazamiento spostamento elongation"
                              " extension s weite wurfweite sprungweite flugweite horizontal"
-                             " horizontale orizzontale waagerecht waagerechte waagrecht"
+                             " downrange horizontale orizzontale waagerecht waagerechte waagrecht"
                              " waagrechte alcance portée gittata easting rechtswert depth tiefe"
                              " profondeur profundidad profondità heave surge sway"),
 }  # fmt: skip
@@ -249,7 +252,9 @@ def is_acceleration(text):
 
 def is_rate(text):
     """Whether a heading speaks of what a gyroscope measures."""
-    return bool(_words(text) & {"gyroscope", "gyroskop", "gyro"})
+    words = _words(text) - {""}
+    is_angular = words <= {"angular", "velocity", "speed", "rate", "x", "y", "z"}
+    return bool(words & {"gyroscope", "gyroskop", "gyro"}) or ("angular" in words and is_angular)
 
 
 def is_no_place(text):
@@ -293,6 +298,8 @@ def is_doubt(text):
 
 def is_error_of(text, of):
     """Whether a heading is that of the error of another: ``sigma_RV`` beside ``RV``, or ``err``."""
+    if text.startswith("e_") and _letters(text[2:]) == _letters(of):  # as in catalogues of stars
+        return True
     match = _ERROR_OF.fullmatch(_letters(text))
     return match is not None and (match[1] or match[2] or "") in ("", _letters(of))
 
@@ -561,7 +568,7 @@ def _guessed(heading, names):
 
 def _with_bodies(found):
     """``star1_x``, ``x_star1`` and ``x2`` as columns of bodies, where there is no plain x or y."""
-    found = _with_body_of_run(found)
+    found = _with_own_clocks(_with_body_of_run(found))
     if any(h.name in ("x", "y") and h.sure < GUESS and not h.body for h in found):
         return found
     out = [_of_body(h) for h in found]
@@ -583,6 +590,22 @@ def _with_bodies(found):
             for h, old in zip(out, found, strict=True)
         ]
     return out
+
+
+def _with_own_clocks(found):
+    """``Time A, Pos A, Time B, Pos B`` as columns of bodies that have each its clock."""
+    out = []
+    for h in found:
+        *words, label = re.split(r"[\s_.-]+", h.name.strip()) if h.sure == UNKNOWN else [""]
+        said = {word.lower() for word in words}
+        name = "t" if said and said <= _TIME_WORDS else "x" if said and said <= _PLACE_WORDS else ""
+        out.append(replace(h, name=name, body=label, sure=GUESS) if name and label else h)
+    names = {}
+    for h, old in zip(out, found, strict=True):
+        if h is not old:
+            names.setdefault(h.body, []).append(h.name)
+    is_each = len(names) > 1 and all(sorted(own) == ["t", "x"] for own in names.values())
+    return out if is_each and not {"t", "x", "y"} & {h.name for h in found} else found
 
 
 def _with_body_of_run(found):

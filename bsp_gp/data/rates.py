@@ -120,8 +120,8 @@ def _velocities(table, declaration):
     """Axis -> column of velocities; empty where there is none."""
     columns = list(map(str, table.frame.columns))
     known = {axis: f"v{axis}" for axis in "xyz" if f"v{axis}" in columns}
-    if known:
-        return known
+    if known:  # along one axis it does not matter which it is
+        return {"x": known["z"]} if list(known) == ["z"] else known
     turned = _of_sensor(table, declaration, lambda unit: _is_turn("", unit))
     if turned:
         return turned

@@ -17,9 +17,12 @@ from bsp_gp.errors import DataError, in_python
 
 MOST_ABOVE = 12
 """Lines of a title above rows without headings."""
+MOST_SHOWN = 6
+"""Cells of a row that a complaint shows."""
 _DELIMITERS = (",", ";", "\t", None)
 DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 _COMMENT = re.compile(r"^\ufeff?[#%]\s*")
+_BRACKETS = re.compile(r"[(\[].*[)\]]")
 _DIALECT = re.compile(r"^\ufeff?\"?sep=", re.IGNORECASE)
 """The line by which Excel is told of a delimiter."""
 
@@ -92,6 +95,7 @@ def sniff(head, rename, marks, path):
     number, delimiter = _likely_header(head)
     cells = _header_cells(head[number], delimiter, said)
     cells = _without_idle_end(head, number, delimiter, cells)
+    _require_names_of_all(head, number, delimiter, cells, path)
     if cells and all(_is_number(cell) for cell in cells if cell):
         raise DataError(
             f"the first line holds {len(cells)} number(s) where the names of the columns are "
@@ -175,7 +179,25 @@ def _named_by_place(rows, rename):
     return dict(zip("txyz", kept, strict=False))
 
 
+def _require_names_of_all(head, number, delimiter, cells, path):
+    """DataError where a comment names some of the columns: nobody knows which."""
+    row = split_line(_below(head, number), delimiter) if _COMMENT.match(head[number]) else ()
+    if len(row) > len(cells) and all(_is_number(cell or "0") for cell in row):
+        raise DataError(
+            f"the header has {len(cells)} name(s), and the rows have {len(row)} columns; the first "
+            f"row is {' '.join(row[:MOST_SHOWN])}{' ...' if len(row) > MOST_SHOWN else ''}",
+            file=path, row=number + 1,
+            remedy="say which column is which by its number: --columns t=2 x=3 (and scene=1 of "
+            "recordings below each other; of an angle, theta=3 --units theta=rad)",
+        )  # fmt: skip
+
+
 def _remedy_of_numbers(cells):
+    if len(cells) == 1:
+        return (
+            "a table has a column of times as well; of rows that are evenly spaced, say how many "
+            "there are in a second: --columns x=1 --fps 25 (of speeds, vx=1)"
+        )
     remedy = "add a header such as t,x,y, or say which column is which by its number: "
     by_number = "--columns t=1 x=2"
     if _are_places(cells):
@@ -230,7 +252,8 @@ def _likely_header(head):
             row = split_line(_below(head, number), delimiter)
             is_row = len(row) == len(cells) > 1 and all(_is_number(c or "0") for c in row)
             if is_row and any(row) and not any(map(_is_number, cells)):
-                return number, delimiter
+                is_of_units = all(_BRACKETS.fullmatch(cell) for cell in cells if cell)
+                return (number - 1 if is_of_units and number else number), delimiter
     number = next(k for k, line in enumerate(head) if line.strip())
     counts = {mark: len(split_line(head[number], mark)) for mark in _DELIMITERS}
     marked = [mark for mark in _DELIMITERS[:-1] if counts[mark] > 1]
@@ -245,8 +268,9 @@ def _finish(head, number, delimiter, found):
         row = _header_cells(head[line], delimiter)
         if len(row) != len(found) and delimiter is None and _COMMENT.match(head[line]):
             row = _under(head[number], head[line])
+        is_marked = all(_BRACKETS.fullmatch(cell) for cell in row if cell)
         row = tuple(cell.strip("()[] ") for cell in row)
-        if _is_unit_row(row, names):
+        if _is_unit_row(row, names, is_marked):
             units = [cell or unit for cell, unit in zip(row, units, strict=True)]
             data_line = line + 1
             break
@@ -298,10 +322,15 @@ def _decimal(lines, delimiter):
     return "," if has_comma and not has_point else "."
 
 
-def _is_unit_row(row, names):
-    """Whether a row below the names has units of all numbers that we know; others say anything."""
+def _is_unit_row(row, names, is_marked=False):
+    """Whether a row below the names has units of all numbers that we know; others say anything.
+
+    Where all is in brackets, any unit tells that it is such a row.
+    """
     if len(row) != len(names) or any(map(_is_number, row)):
         return False
+    if is_marked and any(map(is_unit, filter(None, row))):
+        return True
     numeric = [cell for cell, name in zip(row, names, strict=True) if name in number_columns(names)]
     return any(numeric) and all(map(is_unit, filter(None, numeric)))
 

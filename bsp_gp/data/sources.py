@@ -257,7 +257,7 @@ def _workbook(path):
             "save it as CSV UTF-8"
         ) from error
     try:
-        with CalamineWorkbook.from_path(path) as book:
+        with CalamineWorkbook.from_filelike(io.BytesIO(path.read_bytes())) as book:
             names = book.sheet_names
             sheets = {n: _rows(path, book.get_sheet_by_name(n).to_python()) for n in names}
     except (CalamineError, ValueError, OSError) as error:

@@ -31,6 +31,9 @@ NEIGHBOURS = 15
 CURVED = 0.1
 """Part of the error of a row up to which its value is taken as the mean over its time."""
 LEAST_ROWS, LISTED = 4, 5
+COARSEST, COARSE = 5.0, 0.25
+"""Quoted errors that half of the values may be off the line between their neighbours, if all are
+off by more than such a part of how much they vary."""
 SWINGS = 3
 """Periods of the strongest wave of accelerations in a track that is bound to its middle."""
 SLOWER = 10.0
@@ -137,8 +140,36 @@ def _pieces(table, times, values, rates):
             far += table.frame.index[rows[is_far]].tolist()
             good[rows[is_far]] = False
     good &= _are_common(table, times, good)
+    _require_dense(table, times, values, [r[good[r]] for r in groups.values()], rates)
     parts = {name: _parts(times, rows[good[rows]]) for name, rows in groups.items()}
     return {name: [p for p in own if len(p) >= LEAST_ROWS] for name, own in parts.items()}, far
+
+
+def _require_dense(table, times, values, groups, rates):
+    """DataError where values change so much from row to row that what lies between is anything."""
+    for k, axis in enumerate(rates.columns):
+        if rates.order != 1 or f"sv{axis}" not in table.frame:
+            continue
+        error = numbers_of(table, f"sv{axis}")
+        parts = [_off_neighbours(times[r], values[r, k], error[r]) for r in groups]
+        off, quoted = np.concatenate(parts, axis=1)
+        size = float(np.nanmedian(np.abs(off) / quoted)) if len(off) else 0.0
+        if size > COARSEST and off.std() > COARSE * values[np.concatenate(groups), k].std():
+            raise DataError(
+                f"there are no places, and velocities are {size:.0f} of their errors off what "
+                "their neighbours foresee: rows are too far apart to be added up to places",
+                file=table.file, column=rates.headings[k],
+                remedy="a track needs places, or velocities with many rows a turn",
+            )  # fmt: skip
+
+
+def _off_neighbours(times, values, error):
+    """Values beside the straight line between their neighbours, with no gap there; their errors."""
+    steps = np.diff(times)
+    share = steps[:-1] / (steps[:-1] + steps[1:])
+    off = values[1:-1] - (1 - share) * values[:-2] - share * values[2:]
+    is_near = np.maximum(steps[:-1], steps[1:]) <= GAP * np.median(steps)
+    return np.stack([off, error[1:-1]])[:, is_near]
 
 
 def _notes(rates, pieces, far, count):

@@ -35,6 +35,7 @@ from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
 from bsp_gp.data.logged import named_of
+from bsp_gp.data.on_maps import from_maps
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
 from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.properties import LEFT_OUT, read_properties, with_properties
@@ -321,6 +322,7 @@ def _assemble(table, roster, declaration, default_name):
     table, declaration, is_star = read_stars(table, declaration)
     declaration = _with_their_names(table, declaration)
     declaration, input_notes = _with_inputs(table, declaration)
+    table = from_maps(table, declaration)
     table, declaration = from_rates(table, declaration)
     declaration = _with_angles(table, declaration)
     table, declared = from_polar(
@@ -425,6 +427,8 @@ def _with_remedies(system, of_masses):
     return dataclasses.replace(system, remedies=MappingProxyType({"kg": of_masses}))
 
 
+_DRIVES = frozenset("torque drehmoment force kraft thrust throttle pwm duty motor".split())
+"""Words of columns that say what drives a body."""
 _HEADINGS = frozenset("heading attitude yaw bow azimuth orientation kurs cap rumbo".split())
 """Words of columns that say how a body is turned."""
 
@@ -439,6 +443,12 @@ def _unused(table, inputs):
         note.append(
             f"column {where[0]} may say how the body is turned: --units {where[0]}=deg makes it an "
             "input of laws, which may then act along and across the body's own axis"
+        )
+    driving = [n for n in names if n.isidentifier() and plain_words(n) & _DRIVES]
+    if driving:
+        note.append(
+            f"column {driving[0]} may drive the motion: --units {driving[0]}=UNIT makes it an "
+            "input of laws"
         )
     return note + _left_out_bodies(table, inputs)
 

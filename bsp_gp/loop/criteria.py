@@ -13,6 +13,7 @@ REASONS = (
     "declared_model_not_fitted", "noise_explains", "time_is_up", "superseded", "not_tested",
     "strength_varies", "beside_description", "force_beside", "held_out_disagrees",
     "many_causes", "own_period", "few_periods", "likelier_refused", "not_placed",
+    "swamped",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
 "strength_varies": adopted as a description, since its constant is not the same everywhere;
@@ -21,7 +22,8 @@ it is likelier than none; "held_out_disagrees": what was held out leaves more th
 whatever its numbers; "many_causes": more of them than are likely to be missing; "own_period": a
 push that has the period of the swing without it; "few_periods": one that was not seen to come
 back; "likelier_refused": adopted in the place of a likelier one that made predictions worse;
-"not_placed": an unseen body whose strength may be nothing."""
+"not_placed": an unseen body whose strength may be nothing; "swamped": noise with a memory would
+explain it, as large as the motion."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")

@@ -9,6 +9,9 @@ from bsp_gp.loop.table import SAME_MINIMUM
 FORCED = 10.0
 """Times the nats of odd noise by which a force must be likelier than a memory of the noise for
 this to be none."""
+SWAMPED = 0.1
+"""Size of noise with a memory, in that of the motion, from which it is no noise of a measurement:
+of what no law explains, the motion itself is left."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +56,13 @@ def decide(table, criteria=None):
     if not math.isfinite(table.p_value):
         return Decision("cannot tell", "not_tested")
     if table.p_value > criteria.alpha:
-        return Decision("nothing missing", "not_significant")
+        return _unless_swamped(table, Decision("nothing missing", "not_significant"))
     candidates = table.candidates
     # Of what no law explains that noise does not do either nothing is said but that it was seen.
     is_forced = table.forced > FORCED * criteria.noise_nats
     if not candidates:
         if table.noise_p <= criteria.alpha and not is_forced:
-            return Decision("the noise is not as assumed", "noise_explains")
+            return _unless_swamped(table, Decision("the noise is not as assumed", "noise_explains"))
         return Decision("seen, not adopted", "no_candidate_fits")
     best = candidates[0]
     noise = next((row for row in candidates if row.kind == "noise"), None)
@@ -81,7 +84,7 @@ def decide(table, criteria=None):
         if is_odd and best.kind == "kicks" and _explains_alike(best, table.base, criteria):
             return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
         if is_odd and not is_forced:
-            return Decision("the noise is not as assumed", "noise_explains")
+            return _unless_swamped(table, Decision("the noise is not as assumed", "noise_explains"))
         seen = None if is_forced and best.kind == "noise" else best
         return Decision("seen, not adopted", "no_better_than_before", seen, False, rivals)
     if _is_refused(best, criteria):
@@ -95,6 +98,11 @@ def decide(table, criteria=None):
     if tied:
         return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
     return Decision("effect adopted", "adopted", best, True, rivals, is_fact)
+
+
+def _unless_swamped(table, decision):
+    """A decision that all is noise, unless such noise is about as large as the motion."""
+    return Decision("cannot tell", "swamped") if table.swamped > SWAMPED else decision
 
 
 def share_of_listed(table, best):

@@ -266,7 +266,7 @@ class _Run:
             else:
                 turn.ask_without_memory(number, view)
         turn.note_time("fits")
-        of_noise = (view.noise_chance, view.forced) if view else ()
+        of_noise = (view.noise_chance, view.forced, _swamped(found, self.dataset)) if view else ()
         table = HypothesisTable(tuple(turn.rows), turn.p_value, *of_noise)
         table = table.without_repeats().with_probabilities()
         decision, aside = decide(table, self.criteria), None
@@ -939,6 +939,17 @@ def _proposed(shared, number):
         return None
     finally:
         view.tick = clock.tick
+
+
+def _swamped(found, dataset):
+    """Size of the noise of a fit that has a memory, in how far bodies move about."""
+    if not found.noise.correlated:
+        return 0.0
+    places = [scene.positions[:, scene.dynamic] for scene in dataset.scenes]
+    off = np.concatenate([(p - np.nanmean(p, axis=0)).reshape(-1, p.shape[-1]) for p in places])
+    moved = math.sqrt(float(np.nanmean(np.square(off).sum(axis=1))))
+    sizes = np.nan_to_num(np.array(found.noise.levels), posinf=0.0)
+    return math.sqrt(found.noise.correlated) * float(np.linalg.norm(sizes)) / (moved or 1.0)
 
 
 def _fit_of(shared, job):

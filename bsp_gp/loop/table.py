@@ -100,12 +100,15 @@ class HypothesisTable:
         Chance that noise as it was assumed leaves as odd an error, see `View.noise_chance`.
     forced : float
         Nats by which a force that knows no physics is likelier than the memory of the noise.
+    swamped : float
+        Size of noise with a memory, in that of the motion itself.
     """
 
     rows: tuple[Row, ...]
     p_value: float
     noise_p: float = 1.0
     forced: float = -math.inf
+    swamped: float = 0.0
 
     @property
     def base(self):

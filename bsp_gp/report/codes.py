@@ -91,6 +91,8 @@ REASONS = {
     "predictions of what was held out worse; of the others it is the likeliest that makes them "
     "better",
     "strength_varies": "it describes these tracks, but its strength is not the same everywhere",
+    "swamped": "nothing that was tried explains the motion, and what is left of it is too large to "
+    "be an error of the measurement",
 }
 STOPS = {
     "nothing_left": "nothing is left above the noise",

@@ -217,7 +217,6 @@ def test_a_header_of_numbers_as_pandas_writes_it_is_no_row(tmp_path):
 @pytest.mark.parametrize(
     "lines",
     [
-        rows(T),
         rows(T, *[SURE] * 4),
         rows(SURE, T),
         rows([0, 1, 1, *range(2, N - 1)], SURE),

@@ -53,6 +53,20 @@ def test_nothing_is_missing_where_chance_shows_as_much():
     assert decided(row(1), p=0.02, criteria=Criteria(alpha=0.05)).is_adopted
 
 
+@pytest.mark.parametrize(
+    ("p", "noise_p", "verdict"),
+    [(0.5, 1.0, "nothing missing"), (1e-6, 1e-6, "the noise is not as assumed")],
+)
+def test_noise_as_large_as_the_motion_is_none(p, noise_p, verdict):
+    for swamped, told in ((0.02, verdict), (0.4, "cannot tell")):
+        table = HypothesisTable((BASE,), p, noise_p, swamped=swamped)
+        rows = HypothesisTable((BASE, row(1, gain=5.0)), p, noise_p, swamped=swamped)
+        for each in (table, rows):
+            said = decide(each.with_probabilities())
+            assert said.verdict == told
+            assert (said.reason == "swamped") == (told == "cannot tell")
+
+
 def test_a_failed_fit_is_never_nothing_missing():
     for status in ("nonfinite", "unconverged", "aliased"):
         said = decided(base=replace(BASE, status=status), p=np.nan)

@@ -165,9 +165,9 @@ def test_places_are_not_overridden_by_velocities():
     other = pd.DataFrame({"t": np.arange(5.0), "P1 (m)": 1.0, "v (m/s)": 2.0})
     with pytest.raises(DataError, match="column 'x'"):
         Dataset.from_frames(other)
-    ways = pd.DataFrame({"t": np.arange(5.0), "latitude": 1.0, "longitude": 2.0, "speed": 3.0})
-    with pytest.raises(DataError, match="column 'x'"):
-        Dataset.from_frames(ways)
+    ways = pd.DataFrame({"t": np.arange(5.0), "latitude": np.linspace(1, 1.1, 5),
+                         "longitude": np.linspace(2, 2.1, 5), "speed": 3.0})  # fmt: skip
+    assert Dataset.from_frames(ways, units={"time": "s"}).velocity == "ignore"
 
 
 @pytest.mark.parametrize("change", [{5: 0.16}, {5: 0.28}])

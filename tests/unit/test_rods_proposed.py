@@ -92,6 +92,20 @@ def test_a_curve_along_which_a_body_comes_back_is_a_wire():
     assert float(proposal.text.split("+ ")[-1].split(" ")[0]) == pytest.approx(0.72, abs=0.02)
 
 
+def filmed(n=900, dt=1 / 30, sigma=3e-4):
+    """A bob 1.17 m below its pivot that a camera sees a little aslant, and leaves its plane."""
+    t = dt * np.arange(n)
+    angle = 0.4 * np.exp(-0.01 * t) * np.cos(2.88 * t)
+    aslant = 1 + 0.004 * np.sin(angle) + 0.002 * np.cos(0.5 * t)
+    return track(t, 1.17 * np.sin(angle) * aslant, -1.17 * np.cos(angle) * aslant, sigma)
+
+
+def test_a_distance_is_about_constant_where_a_camera_is_not_straight():
+    (proposal,) = Rods().propose(looked_at(filmed(), [])).proposals
+    assert proposal.code == "rod"
+    assert float(proposal.text.split("= ")[-1]) == pytest.approx(1.17, abs=0.02)
+
+
 def test_what_is_thrown_along_a_parabola_is_on_no_wire():
     t = np.arange(60) * 0.02
     family = Rods().propose(looked_at(track(t, 1.2 * t, 5.0 * t - 4.905 * t**2), []))

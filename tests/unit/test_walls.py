@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 
+import bsp_gp
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.fit import fit
@@ -147,6 +148,20 @@ def test_states_are_read_off_one_side_of_a_jump():
     nodes = nodes_between(chains, np.zeros_like(exact), {})
     early = chains.times[:, 0] < 1.0
     assert nodes[1, 0, 1, early, 0] == pytest.approx(exact[1, 0, 1, early, 0], abs=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [5, 6])
+def test_one_bounce_is_enough_however_smooth_a_track_is(seed):
+    """Noise with a memory would take up the whole of it: nothing was said to be missing."""
+    data = bounces(np.random.default_rng(seed), n_rows=45, dt=1 / 30, sigma=0.006, kept=0.7,
+                   noise=False)  # fmt: skip
+    report = bsp_gp.close_loop(data, [], rng=np.random.default_rng(0), n_bootstrap=0)
+    assert [done.effect.code for done in report.rounds if done.adopted] == ["bounce"]
+    found = {c.name: c for c in report.constants}
+    weight = found["c1"]
+    assert abs(weight.value + 9.81) < 2 * (weight.high - weight.low)
+    assert abs(found["e1"].value - 0.7) < 0.02
 
 
 def test_nothing_is_proposed_where_nothing_bounces():

@@ -20,6 +20,11 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 
 CONSTANT = 3.0
 """Deviations of a constant quantity, in those that its changes from row to row tell of noise."""
+NEARLY = 0.01
+"""Part of the way of a body that swings up to which its distance from a point is about constant:
+bobs leave their plane, and cameras look aslant."""
+STEEP = 20.0
+"""Slope of a curve from which it is one of the other coordinate."""
 BENT = 3.0
 """Deviations from a line, in the same, from which a track is one about a point."""
 MOVED = 10.0
@@ -141,7 +146,8 @@ def _alone(name, tracks):
     curve = _along_a_curve(name, tracks) if len(middle) == 2 else None
     centre, radius = _sphere(places[seen])
     spread, level = deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
-    if bend < BENT * level or not _is_constant(spread, level, places[seen]):
+    is_about = spread <= NEARLY * np.ptp(places[seen], axis=0).max() and _swings(tracks, axes[0])
+    if bend < BENT * level or not (is_about or _is_constant(spread, level, places[seen])):
         return curve if bend > BENT * level else None
     stems = tuple(f"pivot_{axis}" for axis in "xyz"[: len(centre)])
     point = ", ".join(f"{{{k}}}" for k in range(len(centre)))
@@ -150,6 +156,12 @@ def _alone(name, tracks):
     rod = _Kept("rod", text, (name, ""), (*stems, "L"), values, level, _is_uneven(tracks),
                 way=tuple((middle - centre).tolist()))  # fmt: skip
     return curve if curve is not None and curve.spread < spread else rod
+
+
+def _swings(tracks, axis):
+    """Whether a body comes back along a direction, as what is thrown does not."""
+    rows = [p[np.isfinite(p).all(axis=1)] @ axis for p in tracks.values()]
+    return any(len(own) > 1 and _gone_back(own) > COMES_BACK * np.ptp(own) for own in rows)
 
 
 def _along_a_curve(name, tracks):
@@ -168,6 +180,8 @@ def _along_a_curve(name, tracks):
         for degree in CURVED:
             curve = np.polynomial.Polynomial.fit(places[:, along], places[:, of], degree)
             slope = curve.deriv()
+            if np.abs(slope(places[:, along])).max() > STEEP:
+                break
             left = {
                 key: (p[:, of] - curve(p[:, along])) / np.hypot(1.0, slope(p[:, along]))
                 for key, p in tracks.items()

@@ -31,7 +31,6 @@ PLAIN = 2
 """Of these, those of a wall that is smooth and stands along an axis."""
 SLOWING = ("norm(v_i) * normalize(v_i)", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)")
 """What slows bodies between walls: linear and quadratic drag, friction."""
-LEAST_JUMPS = 2
 LEAST_SWEPT = 0.02
 """Part of the longest way, along whichever axis, that bodies go along an axis with walls."""
 ALIKE = 0.02
@@ -67,8 +66,8 @@ class Walls:
             found = _jumps_of(view, _levels(groups))
             groups = walls_at([jump for own in found.values() for jump in own], view.dataset)
         groups = {key: own for key, own in groups.items() if key not in known}
-        most = _unexplained(view)
-        if not groups or most <= 0:
+        most = _unexplained(view, groups) if groups else 0.0
+        if most <= 0:
             return Family(self.name)
         proposals = _proposals(view, groups, found, most)
         best = proposals[0]
@@ -158,7 +157,7 @@ def walls_at(found, dataset):
         is_there = abs(jump.place[axis] - farthest) <= ALIKE * extent + ERRORS * jump.error
         if is_there and KEPT[0] <= kept <= KEPT[1]:
             groups.setdefault((axis, side), []).append(jump)
-    return groups if sum(map(len, groups.values())) >= LEAST_JUMPS else {}
+    return groups
 
 
 def _proposals(view, groups, jumps_of, most):
@@ -244,10 +243,14 @@ def _at_walls(places, levels, near):
     return np.any(held, axis=0)
 
 
-def _unexplained(view):
-    """Chi-squared that the law leaves of places beyond that of noise, surely."""
+def _unexplained(view, groups):
+    """Chi-squared that the law leaves of places beyond that of noise, surely.
+
+    A memory of the noise may have taken up what a motion is: what is left is told without.
+    """
     fit = view.fit
-    left = fit.whitened if fit.noise.adding else fit.residual / fit.noise.sizes(fit.channels)
+    error = max(jump.error for own in groups.values() for jump in own)
+    left = fit.whitened if fit.noise.adding else fit.residual / error
     count = np.count_nonzero(np.isfinite(left))
     chance = count + REFUTED * math.sqrt(2 * count)
     return float(np.nansum(np.square(left))) - chance

@@ -1,0 +1,83 @@
+"""Tables that say where on the globe something is, as receivers of satellites write them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.data.polar_words import plain_words
+from bsp_gp.data.roster import GAP, fail_at, numbers_of
+from bsp_gp.units import parse_unit
+
+_LATITUDE = frozenset("lat latitude breite breitengrad latitud latitudine".split())
+_LONGITUDE = frozenset("lon lng long longitude länge längengrad longitud longitudine".split())
+_HEIGHT = frozenset("altitude alt height elevation ele hmsl msl höhe hoehe altitud altezza".split())
+_WITH = frozenset("gps gnss deg degrees wgs84 m ft meters metres".split())
+EQUATOR, FLATTENING = 6_378_137.0, 1 / 298.257223563
+"""Radius of the equator, m, and flattening of the ellipsoid of WGS 84."""
+
+
+def from_maps(table, declaration):
+    """Put places in a table that has latitudes and longitudes, and heights if it has any.
+
+    Places are those in the plane that touches the ellipsoid where the table begins, x to the east
+    and y to the north, in metres; a height is z.
+
+    Raises
+    ------
+    DataError
+        For a latitude beyond the poles.
+    """
+    latitude, longitude = _of(table, _LATITUDE), _of(table, _LONGITUDE)
+    if "x" in table.frame or not (latitude and longitude):
+        return table
+    lat, lon = numbers_of(table, latitude), numbers_of(table, longitude)
+    if (np.abs(lat) > 90).any():
+        row = int((np.abs(lat) > 90).argmax())
+        fail_at(table, f"a latitude is between -90 and 90, got {lat[row]:g}", row, latitude, GAP)
+    length = declaration.units.get("length")
+    scale = parse_unit(length)[0] if length else 1.0
+    x, y = (way / scale for way in _in_plane(np.radians(lat), np.radians(lon)))
+    names = {latitude: table.unused[latitude], longitude: table.unused[longitude]}
+    frame = table.frame.drop(columns=[*names, *(["y"] if table.up == "y" else [])])
+    units = {n: u for n, u in table.units.items() if n not in (*names, "y", "x")}
+    units |= {} if length else {"x": "m", "y": "m"}
+    theirs = {**table.theirs, "x": names[longitude], "y": names[latitude]}
+    height = "y" if table.up == "y" else _of(table, _HEIGHT)
+    if height:
+        frame = frame.drop(columns=height, errors="ignore").assign(z=numbers_of(table, height))
+        units |= {} if length else {"z": table.units.get(height, "m")}
+        units = {n: u for n, u in units.items() if n != height or n == "y"}
+        theirs["z"] = table.theirs.get("y") if height == "y" else table.unused[height]
+    note = "latitude and longitude were read as places east (x) and north (y) of where it begins"
+    is_taken = height and not (length or table.units.get(height))
+    return replace(
+        table, frame=frame.assign(x=x, y=y), units=units, theirs=theirs,
+        unused={n: t for n, t in table.unused.items() if n not in (*names, height)},
+        notes=(*table.notes, f"{note}, in m on the ellipsoid of WGS 84"
+               + (f"; {theirs['z']!r} as the height (z)" if height else "")
+               + ("; it has no unit and is taken as in m: --units z=ft says another"
+                  if is_taken else "")),
+        up="z" if height else None,
+    )  # fmt: skip
+
+
+def _of(table, words):
+    """The column that is called so, that of satellites before others; "" where there is none."""
+    found = []
+    for name, heading in table.unused.items():
+        own = plain_words(heading)
+        if name in table.frame and own & words and own <= words | _WITH:
+            found.append((not own & {"gps", "gnss"}, name))
+    return min(found)[1] if found else ""
+
+
+def _in_plane(lat, lon):
+    """Ways to the east and to the north of the first place that is known, m, (n,) each."""
+    first = int(np.isfinite(lat).argmax())
+    squared = FLATTENING * (2 - FLATTENING)
+    radius = EQUATOR / np.sqrt(1 - squared * np.sin(lat) ** 2)
+    x = radius * np.cos(lat) * np.cos(lon - lon[first])
+    y = radius * np.cos(lat) * np.sin(lon - lon[first])
+    z = radius * (1 - squared) * np.sin(lat)
+    x, z = x - x[first], z - z[first]
+    return y, -np.sin(lat[first]) * x + np.cos(lat[first]) * z
