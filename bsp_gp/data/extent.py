@@ -7,6 +7,9 @@ from bsp_gp.units import OF_THE_SKY, Unit
 ASTRONOMICAL = 1e6
 """Size of the data from which an attraction is gravity, and nothing is held, m."""
 
+DATES = ((1500.0, 2200.0, 0.5), (2.2e6, 2.6e6, 1.0))
+"""Years, and Julian dates in days: between which they are, and how long a recording is."""
+
 
 def is_astronomical(dataset):
     """Whether tracks are so large, in metres, that only gravity acts as far."""
@@ -23,5 +26,16 @@ def spans_the_sky(scenes, units):
 
 
 def is_of_the_sky(dataset):
-    """Whether places are of astronomical size, or angles without a distance."""
+    """Whether places are of astronomical size, or angles without a distance.
+
+    Where no unit is given, dates tell it: no film begins in the year 2002.25.
+    """
+    if not dataset.units.declared:
+        return all(map(_is_dated, dataset.scenes))
     return is_astronomical(dataset) or dataset.units.symbols.get("m") in OF_THE_SKY
+
+
+def _is_dated(scene):
+    """Whether times are decimal years, or Julian dates."""
+    first, last = scene.times[[0, -1]]
+    return any(low <= first and last <= high and last - first > least for low, high, least in DATES)

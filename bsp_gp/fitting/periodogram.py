@@ -12,6 +12,8 @@ SWINGING = 0.5
 """Part of what tracks are beside parabolas that one rate must make of them to be a swing."""
 SHOWN = 100.0
 """Chi-squared that a swing must make at the least, in that of the noise or of what it leaves."""
+ROUNDING = 1e-9
+"""Chi-squared that rounding may make of the straight track that no force foresees."""
 FEWEST_TURNS = 1.5
 """In the longest track, below which nothing is called a swing."""
 OVERTONES = {1: 1.0, 2: 0.5, 3: 0.5}
@@ -123,7 +125,7 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS):
     best = int(np.argmax(power))
     # What nobody has explained may be all of what was taken for noise.
     noise = min((whole - power[best]) / max(count, 1), 1.0)
-    is_shown = power[best] > max(SWINGING * whole, SHOWN * noise)
+    is_shown = power[best] > max(SWINGING * whole, SHOWN * noise, ROUNDING)
     is_seen = rates[best] * span > 2 * np.pi * turns
     return float(rates[best]) if is_shown and is_seen else 0.0
 

@@ -19,6 +19,8 @@ ROWS_EACH = 4
 """Rows for each of the smooth functions, at the least."""
 LEAST_LEFT = 0.05
 """Part of its variance that a row must have left to be looked at."""
+LEAST_TAIL = -700.0
+"""Log chance of a row beyond which it is as far off as numbers tell."""
 LEVEL = 0.95
 Z = float(stats.norm.ppf(LEVEL))
 PARTS = {
@@ -142,7 +144,7 @@ class _PureError:
         self.z = np.where(self.used, self.rows, 0.0) / np.sqrt(np.where(self.used, self.left, 1.0))
         if np.isfinite(tangent.fit.noise.degrees):  # as if normal
             tail = stats.t.logsf(np.abs(self.z[0]), fit.noise.degrees)
-            self.z[0] = np.sign(self.z[0]) * stats.norm.isf(np.exp(tail))
+            self.z[0] = np.sign(self.z[0]) * stats.norm.isf(np.exp(np.maximum(tail, LEAST_TAIL)))
 
     def findings(self):
         """One Finding for each question that can be asked."""

@@ -7,6 +7,7 @@ import pytest
 
 from bsp_gp.loop.criteria import NOISE_FINDINGS
 from bsp_gp.loop.questions import hidden_bound, noise_findings
+from bsp_gp.loop.view import View
 from tests.loop_views import edited, throws, view_of
 
 SIGMA = 0.005
@@ -87,6 +88,16 @@ def test_a_missing_force_is_not_taken_for_noise():
     view = view_of(data)
     assert view.fit.chi2_red > 3
     assert all(f.p_value > 1e-3 for f in noise_findings(view))
+
+
+def test_rows_that_are_off_beyond_all_numbers_are_told_like_others():
+    def change(positions):
+        positions[30::7, 1] += 1e5 * SIGMA
+
+    view = view_of(edited(throws(np.random.default_rng(7), n_bodies=2, n_rows=80), change))
+    heavy = replace(view.fit, noise=replace(view.fit.noise, degrees=300.0))
+    found = noise_findings(View(heavy, view.hypothesis, view.dataset, np.random.default_rng(0)))
+    assert found and all(0 <= f.p_value <= 1 for f in found)
 
 
 # --- how much may be hidden -----------------------------------------------------------------------

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import bsp_gp
+from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.errors import DataError
 
 
@@ -97,3 +98,12 @@ def test_velocities_with_few_rows_a_turn_are_not_added_up(tmp_path):
     often = 0.05 * np.arange(400)
     rows = "".join(f"{a:.4f},{50 * np.cos(1.5 * a):.6f},1e-3\n" for a in often)
     assert bsp_gp.load_dataset(table(tmp_path, f"JD (day),RV (m/s),e_RV\n{rows}")).scenes
+
+
+@pytest.mark.parametrize(
+    ("first", "unit", "is_sky"), [(2002.25, None, True), (2.4e6, None, True), (0.0, None, False),
+                                  (2002.25, {"length": "m", "time": "s"}, False)],
+)  # fmt: skip
+def test_dates_tell_the_sky_where_no_unit_does(first, unit, is_sky):
+    frame = pd.DataFrame({"t": first + np.arange(12.0), "x": np.arange(12.0), "y": 1.0})
+    assert is_of_the_sky(bsp_gp.Dataset.from_frames(frame, units=unit)) == is_sky
