@@ -107,3 +107,17 @@ def test_velocities_with_few_rows_a_turn_are_not_added_up(tmp_path):
 def test_dates_tell_the_sky_where_no_unit_does(first, unit, is_sky):
     frame = pd.DataFrame({"t": first + np.arange(12.0), "x": np.arange(12.0), "y": 1.0})
     assert is_of_the_sky(bsp_gp.Dataset.from_frames(frame, units=unit)) == is_sky
+
+
+@pytest.mark.slow
+def test_bodies_with_clocks_of_their_own_are_asked_like_others(tmp_path):
+    rng = np.random.default_rng(0)
+    early, late = 0.05 * np.arange(160), 0.05 * np.arange(160) + 0.025
+    a = 3.0 * np.cos(4.4 * early) * np.exp(-0.05 * early) + 0.01 * rng.standard_normal(160)
+    b = 2.0 * np.sin(4.4 * late) * np.exp(-0.05 * late) + 0.01 * rng.standard_normal(160)
+    rows = "".join(f"{t:.4f},{x:.4f},{s:.4f},{y:.4f}\n"
+                   for t, x, s, y in zip(early, a, late, b, strict=True))  # fmt: skip
+    path = table(tmp_path, f"Time A (s),Pos A (cm),Time B (s),Pos B (cm)\n{rows}")
+    report = bsp_gp.close_loop(bsp_gp.load_dataset(path), [], rng=0, n_bootstrap=0)
+    values = [c.value for done in report.rounds if done.adopted for c in done.effect.constants]
+    assert any(abs(abs(value) - 4.4**2) < 0.2 for value in values)

@@ -73,8 +73,10 @@ def _wavenumbers(view, axes):
     for scene in view.dataset.scenes:
         places = scene.positions[:, scene.dynamic][..., axes]
         extent = max(extent, float(np.nanmax(np.nanmax(places, 0) - np.nanmin(places, 0))))
-        steps.append(np.abs(np.diff(places, axis=0)).ravel())
-    step = float(np.nanmedian(np.concatenate(steps)))
+        tracks = places.reshape(len(places), -1).T
+        steps += [np.abs(np.diff(own[np.isfinite(own)])) for own in tracks]
+    steps = np.concatenate(steps)
+    step = float(np.median(steps)) if len(steps) else 0.0
     error = float(np.nanmax(view.fit.noise.levels))
     if not (extent > 0 and step > 0 and error > 0):
         return np.array([])

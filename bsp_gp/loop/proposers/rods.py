@@ -364,6 +364,6 @@ def _share(fit, bodies):
 
 def _is_uneven(series):
     """Whether a body goes about a point at anything but a constant speed, as an orbit might."""
-    steps = np.concatenate([np.diff(p, axis=0) for p in series.values()])
-    speed = np.linalg.norm(steps[np.isfinite(steps).all(axis=1)], axis=1)
+    seen = (p[np.isfinite(p).all(axis=1)] for p in series.values())
+    speed = np.linalg.norm(np.concatenate([np.diff(p, axis=0) for p in seen]), axis=1)
     return bool(speed.std() > UNEVEN * speed.mean())
