@@ -23,6 +23,7 @@ from bsp_gp.loop.evidence import WEAK, log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, PATIENT, both_of, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.rivals import Explained
+from bsp_gp.loop.slight import without_the_slight
 from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
@@ -221,6 +222,8 @@ def run_rounds(
         done = run.round(number, hypothesis, found, stream)
         if instead is not None and done.goes_on and not done.is_beside_more:
             done = instead(done, run.criteria)
+        if rounds:
+            done = without_the_slight(rounds[0].entering, done, dataset)
         rounds.append(done)
         if on_round is not None:
             on_round(done)

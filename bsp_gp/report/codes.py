@@ -91,6 +91,8 @@ REASONS = {
     "predictions of what was held out worse; of the others it is the likeliest that makes them "
     "better",
     "strength_varies": "it describes these tracks, but its strength is not the same everywhere",
+    "slight": "what is left is little, and it takes up less than half of that and leaves more than "
+    "noise: so do lenses, clocks and bobs that leave their plane",
     "swamped": "nothing that was tried explains the motion, and what is left of it is too large to "
     "be an error of the measurement",
 }

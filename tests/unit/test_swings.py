@@ -191,3 +191,28 @@ def test_an_angle_is_asked_for_a_weight_on_an_arm_as_well():
     assert found.chi2_red < 1.3
     assert values["c1"] == pytest.approx(-12.0, rel=0.03)
     assert values["D1"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_counts_of_a_sensor_may_be_an_angle():
+    """Its scale is told: a radian is as many counts as make swings as slow as wide ones are."""
+    rng, times = np.random.default_rng(0), np.arange(300) / 20
+    angle = solve_ivp(
+        lambda _, s: [s[1], -12 * np.sin(s[0]) - 0.1 * s[1]], (0, times[-1]), [0.8, 0.0],
+        t_eval=times, rtol=1e-9,
+    ).y[0]  # fmt: skip
+    table = pd.DataFrame({"t": times, "x": 440 + 500 * angle + rng.standard_normal(300)})
+    data = bsp_gp.Dataset.from_frames(table, units={"length": "px", "time": "s"})
+    view = view_of(data)
+    (sine,) = (p for p in proposed(data).proposals if "sin(" in p.text)
+    found = sine.fitted(view.fit, data, criteria=view.criteria)
+    values = {p: v for (p, _), v in zip(found.parameters, found.values, strict=True)}
+    assert found.chi2_red < 1.3
+    assert values["D1"] == pytest.approx(500.0, rel=0.03)
+    assert values["c1"] == pytest.approx(-12.0 * 500, rel=0.05)
+
+
+@pytest.mark.parametrize("unit", ["m", "cm"])
+def test_a_length_is_no_angle(unit):
+    table = pd.DataFrame({"t": np.arange(80) / 20, "x": np.cos(0.15 * np.arange(80))})
+    data = bsp_gp.Dataset.from_frames(table, units={"length": unit, "time": "s"})
+    assert not any("sin(" in p.text for p in proposed(data).proposals)

@@ -19,6 +19,7 @@ from bsp_gp.loop.proposers.inside import form_at, inner_search
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.search.inner import PLACE
+from bsp_gp.units import Unit
 
 SPRING = "centre - p_i"
 """The form of the grammar that drives back to a place."""
@@ -28,6 +29,8 @@ SINE = "sin((x_i - h_x) / D) * e_x"
 """What drives an angle back: a weight on an arm."""
 SHARE = 0.05
 """Length of such a spring in the extent of the tracks, at which a fit begins."""
+WIDE = 3.0
+"""A radian in the extent of an angle that is not calibrated, at which a fit begins."""
 FEWER_TURNS = 0.75
 """Of a body beside others that swing."""
 MOST_BODIES = 12
@@ -77,7 +80,7 @@ class Swings:
         if swing_of(view.fit, foreseen=True):
             return Family(self.name)
         search = inner_search(view, self.grammar, view.moment_draws)
-        own = self.of_angles if view.dataset.units.is_angle else []
+        own = self.of_angles if _may_be_angle(view.dataset) else []
         forms = [f for f in self.forms + own if search.axes_of(f) is not None]
         if is_alone:
             proposals = tuple(_slowed(view, search, form, rates[None]) for form in forms)
@@ -86,22 +89,39 @@ class Swings:
         return Family(self.name, proposals, is_control=True)
 
 
+def _may_be_angle(dataset):
+    """Whether what is measured is an angle, or may be one: numbers of a sensor on an axle."""
+    units, is_one = dataset.units, dataset.n_moving_axes == 1
+    return units.is_angle or (is_one and not units.is_calibrated(Unit.of(m=1)))
+
+
 def _about(view, search, form):
     """A spring about the middle of all places, its strength open."""
     scenes = view.dataset.scenes
     tracks = [s.positions[:, k] for s in scenes for k in s.dynamic]
     places = np.concatenate(tracks)
-    middle, extent = np.nanmean(places, axis=0), float(np.nanmax(np.nanstd(places, axis=0)))
+    middle = np.nanmean(places, axis=0)
     if len(scenes[0].dynamic) > 1:  # the mean of one that has not swung often is beside the middle
         ends = [(np.nanmin(track, axis=0) + np.nanmax(track, axis=0)) / 2 for track in tracks]
         middle = np.median(ends, axis=0)
-    size = 1.0 if _is_sine(form) else SHARE * extent  # rad
+    size = _radian(view.dataset) if _is_sine(form) else SHARE * _extent(view.dataset)
     at = [
         middle["xyz".index(axis.name[-1])] if axis.name.startswith((PLACE, "h_"))
         else math.log(size)
         for axis in search.axes_of(form)
     ]  # fmt: skip
     return form_at(view, search, form, at)
+
+
+def _extent(dataset):
+    """How far bodies are off their middle, along the axis along which that is farthest."""
+    places = np.concatenate([s.positions[:, k] for s in dataset.scenes for k in s.dynamic])
+    return float(np.nanmax(np.nanstd(places, axis=0)))
+
+
+def _radian(dataset):
+    """A radian, in the unit of places; of an angle that is not calibrated where a fit begins."""
+    return 1.0 if dataset.units.is_angle else WIDE * _extent(dataset)
 
 
 def _is_sine(form):
@@ -137,7 +157,8 @@ def _slowed(view, search, form, rate):
     stiffness = mass * rate**2
     if _is_sine(form):  # which swings the more slowly the wider it does
         wide = [np.nanvar(s.positions[:, s.dynamic]) * s.positions.shape[2] for s in scenes]
-        stiffness *= -(1 + max(wide) / 4)
+        radian = _radian(view.dataset)
+        stiffness *= -radian * (1 + max(wide) / (2 * radian) ** 2)
     spring = replace(spring, starts=spring.starts | {strength: stiffness})
     law = spring.hypothesis.law
     name = fresh_name(law, "c")

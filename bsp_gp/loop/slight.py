@@ -1,0 +1,62 @@
+"""What takes up a little of the little that a law leaves, and no more, is no cause of its own.
+
+Of a motion that was really filmed something is always left: bobs leave their plane, cameras look
+aslant, springs are no springs. Some force takes up a part of it, the next one of what that leaves.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from bsp_gp.data.noise import estimate_noise
+
+LITTLE = 0.05
+"""Part of what the declared law leaves of the tracks, up to which it is little that is left."""
+TAKEN = 0.5
+"""Part of an error that a cause must take away there, unless it leaves noise alone."""
+ALONE = 1.5
+"""Mean square of what is left, in that of the noise from row to row, up to which it is noise."""
+KINDS = ("force", "hidden_body")
+
+
+def is_slight(first, done, dataset):
+    """Whether a force takes up less than half of the little that is left, and leaves the rest.
+
+    Parameters
+    ----------
+    first : Fit
+        Of what is declared.
+    done : Round
+        Any but the first.
+    dataset : Dataset
+    """
+    best = done.decision.best
+    if not done.decision.is_adopted or best.kind not in KINDS:
+        return False
+    before, after = _size(done.entering), _size(done.fits[best.id])
+    if not (before < LITTLE * _size(first) and after > (1 - TAKEN) * before):
+        return False
+    return after**2 > ALONE * _noise(done.entering, dataset) ** 2
+
+
+def _noise(found, dataset):
+    """Size of the noise from row to row, as `_size` has it."""
+    sigma = np.array(estimate_noise(dataset).sigma)
+    sigma = sigma[np.isfinite(sigma)]
+    return 1.0 if found.noise.adding else float(np.sqrt(np.mean(np.square(sigma))))
+
+
+def _size(found):
+    """Root mean square of what a fit leaves, m; of sums, of what is left of each, in its error."""
+    left = found.whitened if found.noise.adding else found.residual
+    return float(np.sqrt(np.nanmean(np.square(left))))
+
+
+def without_the_slight(first, done, dataset):
+    """A round in which nothing slight is adopted."""
+    if not is_slight(first, done, dataset):
+        return done
+    decision = replace(
+        done.decision, verdict="seen, not adopted", reason="slight", is_adopted=False
+    )  # fmt: skip
+    return replace(done, decision=decision)
