@@ -201,7 +201,9 @@ def test_counts_of_a_sensor_may_be_an_angle():
         t_eval=times, rtol=1e-9,
     ).y[0]  # fmt: skip
     table = pd.DataFrame({"t": times, "x": 440 + 500 * angle + rng.standard_normal(300)})
-    data = bsp_gp.Dataset.from_frames(table, units={"length": "px", "time": "s"})
+    data = bsp_gp.Dataset.from_frames(
+        table, units={"length": "px", "time": "s"}, properties={"mass": "1[kg]"}
+    )
     view = view_of(data)
     (sine,) = (p for p in proposed(data).proposals if "sin(" in p.text)
     found = sine.fitted(view.fit, data, criteria=view.criteria)
@@ -214,5 +216,7 @@ def test_counts_of_a_sensor_may_be_an_angle():
 @pytest.mark.parametrize("unit", ["m", "cm"])
 def test_a_length_is_no_angle(unit):
     table = pd.DataFrame({"t": np.arange(80) / 20, "x": np.cos(0.15 * np.arange(80))})
-    data = bsp_gp.Dataset.from_frames(table, units={"length": unit, "time": "s"})
+    data = bsp_gp.Dataset.from_frames(
+        table, units={"length": unit, "time": "s"}, properties={"mass": "1[kg]"}
+    )
     assert not any("sin(" in p.text for p in proposed(data).proposals)
