@@ -188,7 +188,7 @@ def _require_names_of_all(head, number, delimiter, cells, path):
             f"row is {' '.join(row[:MOST_SHOWN])}{' ...' if len(row) > MOST_SHOWN else ''}",
             file=path, row=number + 1,
             remedy="say which column is which by its number: --columns t=2 x=3 (and scene=1 of "
-            "recordings below each other; of an angle, theta=3 --units theta=rad)",
+            "recordings below each other; of an angle, theta=3 --units theta=rad t=s)",
         )  # fmt: skip
 
 

@@ -948,11 +948,16 @@ def _swamped(found, dataset):
     """Size of the noise of a fit that has a memory, in how far bodies move about."""
     if not found.noise.correlated:
         return 0.0
-    places = [scene.positions[:, scene.dynamic] for scene in dataset.scenes]
-    off = np.concatenate([(p - np.nanmean(p, axis=0)).reshape(-1, p.shape[-1]) for p in places])
-    moved = math.sqrt(float(np.nanmean(np.square(off).sum(axis=1))))
+    moved = count = 0.0
+    for scene in dataset.scenes:
+        for track in np.moveaxis(scene.positions[:, scene.dynamic], 1, 0):
+            seen = track[np.isfinite(track).all(axis=1)]
+            if not len(seen):
+                continue
+            moved, count = moved + float(seen.var(axis=0).sum()) * len(seen), count + len(seen)
     sizes = np.nan_to_num(np.array(found.noise.levels), posinf=0.0)
-    return math.sqrt(found.noise.correlated) * float(np.linalg.norm(sizes)) / (moved or 1.0)
+    size = math.sqrt(found.noise.correlated) * float(np.linalg.norm(sizes))
+    return size / math.sqrt(moved / count) if moved else 0.0
 
 
 def _fit_of(shared, job):

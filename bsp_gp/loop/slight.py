@@ -31,7 +31,7 @@ def is_slight(first, done, dataset):
     dataset : Dataset
     """
     best = done.decision.best
-    if not done.decision.is_adopted or best.kind not in KINDS:
+    if not (done.decision.is_adopted and best.kind in KINDS and first.shows_tracks):
         return False
     before, after = _size(done.entering), _size(done.fits[best.id])
     if not (before < LITTLE * _size(first) and after > (1 - TAKEN) * before):

@@ -16,7 +16,9 @@ NOISE = 0.005
 
 def left(size):
     """A fit that leaves so much."""
-    return SimpleNamespace(residual=np.full((50, 2), size), noise=SimpleNamespace(adding=None))
+    return SimpleNamespace(
+        residual=np.full((50, 2), size), noise=SimpleNamespace(adding=None), shows_tracks=True
+    )
 
 
 def adopted(before, after, kind="force"):
