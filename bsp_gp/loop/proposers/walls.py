@@ -43,6 +43,8 @@ FAR = 20.0
 the part of it that errors of the forces may make, as one over so much."""
 SLANTING = 0.05
 """Speed along a wall, in that across it, below which what is kept of it is not asked of jumps."""
+OFF = 3.0
+"""Errors by which half of all rows must be off for one jump alone to be at a wall."""
 KEPT = (0.05, 1.2)
 """Parts of their speed that bodies may keep."""
 LYING, LEAST_LYING = 4.0, 12
@@ -246,14 +248,23 @@ def _at_walls(places, levels, near):
 def _unexplained(view, groups):
     """Chi-squared that the law leaves of places beyond that of noise, surely.
 
-    A memory of the noise may have taken up what a motion is: what is left is told without.
+    A memory of the noise may have taken up what a motion is, and one jump may be a row that is far
+    off: then half of all rows must be off by much more than the noise from row to row.
     """
-    fit = view.fit
-    error = max(jump.error for own in groups.values() for jump in own)
-    left = fit.whitened if fit.noise.adding else fit.residual / error
+    fit, every = view.fit, [jump for own in groups.values() for jump in own]
+    usual = _beyond(fit.whitened if fit.noise.adding else
+                    fit.residual / fit.noise.sizes(fit.channels))  # fmt: skip
+    if fit.noise.adding or (len(every) > 1 and usual > 0):
+        return usual
+    left = fit.residual / max(jump.error for jump in every)
+    half = np.ma.median(np.ma.masked_invalid(np.abs(left)), axis=0)  # of every coordinate
+    return _beyond(left) if half.max() > OFF else 0.0
+
+
+def _beyond(left):
+    """Chi-squared of errors of size one beyond that of noise, surely."""
     count = np.count_nonzero(np.isfinite(left))
-    chance = count + REFUTED * math.sqrt(2 * count)
-    return float(np.nansum(np.square(left))) - chance
+    return float(np.nansum(np.square(left))) - count - REFUTED * math.sqrt(2 * count)
 
 
 def _told(dataset, jumps_of, groups, is_bare):
