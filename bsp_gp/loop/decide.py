@@ -71,7 +71,8 @@ def decide(table, criteria=None):
         and noise.log_posterior > table.base.log_posterior + SAME_MINIMUM
     )  # fmt: skip
     if is_near:
-        return Decision("the noise is not as assumed", "noise_explains", noise, True)
+        told = Decision("the noise is not as assumed", "noise_explains", noise, True)
+        return _unless_swamped(table, told)
     rivals = tuple(
         row for row in _comparable(table)
         if row.id != best.id and _is_rival(row, best, criteria)

@@ -18,7 +18,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.aside import Aside, is_hopeless, law_beside, settled
 from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
-from bsp_gp.loop.decide import decide
+from bsp_gp.loop.decide import SWAMPED, decide
 from bsp_gp.loop.evidence import WEAK, log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, PATIENT, both_of, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
@@ -269,7 +269,7 @@ class _Run:
             else:
                 turn.ask_without_memory(number, view)
         turn.note_time("fits")
-        of_noise = (view.noise_chance, view.forced, _swamped(found, self.dataset)) if view else ()
+        of_noise = (view.noise_chance, view.forced, turn.swamped) if view else ()
         table = HypothesisTable(tuple(turn.rows), turn.p_value, *of_noise)
         table = table.without_repeats().with_probabilities()
         decision, aside = decide(table, self.criteria), None
@@ -320,6 +320,7 @@ class _Turn:
 
     def __init__(self, run, found, hypothesis):
         self.run, self.base = run, found
+        self.swamped = _swamped(found, run.dataset) if found.shows_tracks else 0.0
         self.near, self.missing = found, 0.0  # where fits begin; chi-squared that is to be gained
         evidence = log_evidence(found, hypothesis, run.criteria)
         base = (found.status, evidence, 0.0, found.log_likelihood, found.n_free)
@@ -869,7 +870,9 @@ class _Turn:
             self.judged[len(self.rows)] = (level / told) ** 2 * best.chi2_red
         self.fits[len(self.rows)] = new
         status = "idle" if self._is_idle(proposal, new) else new.status
-        is_less = self.rows[0].is_fit and not new.is_failed and _is_less(self.base, best)
+        # What takes the motion itself for noise explains nothing better than any law.
+        is_known = self.rows[0].is_fit and self.swamped <= SWAMPED
+        is_less = is_known and not new.is_failed and _is_less(self.base, best)
         if is_less or self._is_open_series(proposal, new):
             status = "less"
         # Kicks have every row told by those before it, and no rows of a fit to be compared.

@@ -137,3 +137,24 @@ def test_two_balls_share_a_weight_and_have_drags_of_their_own():
     drags = {c.entity: -c.value for c in report.constants if c.entity}
     assert drags["small"] == pytest.approx(8.0, rel=0.1)
     assert drags["big"] == pytest.approx(2.4, rel=0.1)
+
+
+@pytest.mark.slow
+def test_two_pendulums_of_a_sensor_are_no_noise_as_large_as_they_swing():
+    """Springs leave what the sine does: beside noise that took up all it had counted as less."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for name, sign, late in (("A", 1, 0.0), ("B", -1, 0.025)):
+        times = 0.05 * np.arange(300) + late
+        angle = solve_ivp(
+            lambda _, s: [s[1], -21.0 * np.sin(s[0]) - 0.04 * s[1]], (0, times[-1]),
+            [0.5 * sign, 0.0], t_eval=times, rtol=1e-9,
+        ).y[0]  # fmt: skip
+        counts = np.round(440 + 500 * angle + rng.standard_normal(300))
+        rows += [{"t": t, "entity": name, "x": x} for t, x in zip(times, counts, strict=True)]
+    data = bsp_gp.Dataset.from_frames(pd.DataFrame(rows), units={"length": "px", "time": "s"})
+    report = bsp_gp.close_loop(data, [], rng=0, n_bootstrap=0, max_rounds=1)
+    (done,) = report.rounds
+    assert done.adopted
+    assert report.total["ratio"].value < 0.1
+    assert report.verdict not in ("the noise is not as assumed", "nothing missing")
