@@ -6,6 +6,7 @@ import math
 import operator
 import time
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -320,7 +321,6 @@ class _Turn:
 
     def __init__(self, run, found, hypothesis):
         self.run, self.base = run, found
-        self.swamped = _swamped(found, run.dataset) if found.shows_tracks else 0.0
         self.near, self.missing = found, 0.0  # where fits begin; chi-squared that is to be gained
         evidence = log_evidence(found, hypothesis, run.criteria)
         base = (found.status, evidence, 0.0, found.log_likelihood, found.n_free)
@@ -670,6 +670,11 @@ class _Turn:
             near = math.inf  # what a series explains makes no form of a textbook spare
         return _is_hopeless(proposal, broken) or self._nats_behind(proposal) > near
 
+    @cached_property
+    def swamped(self):
+        """Size of the noise with a memory that the base has, in that of the motion."""
+        return _swamped(self.base, self.run.dataset) if self.base.shows_tracks else 0.0
+
     @property
     def enough(self):
         """How many numbers leave nothing beyond the noise, and are as likely as any, about."""
@@ -870,9 +875,9 @@ class _Turn:
             self.judged[len(self.rows)] = (level / told) ** 2 * best.chi2_red
         self.fits[len(self.rows)] = new
         status = "idle" if self._is_idle(proposal, new) else new.status
+        is_less = self.rows[0].is_fit and not new.is_failed and _is_less(self.base, best)
         # What takes the motion itself for noise explains nothing better than any law.
-        is_known = self.rows[0].is_fit and self.swamped <= SWAMPED
-        is_less = is_known and not new.is_failed and _is_less(self.base, best)
+        is_less = is_less and self.swamped <= SWAMPED
         if is_less or self._is_open_series(proposal, new):
             status = "less"
         # Kicks have every row told by those before it, and no rows of a fit to be compared.

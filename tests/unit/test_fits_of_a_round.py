@@ -53,7 +53,8 @@ def test_what_explains_less_than_the_law_that_it_extends_is_no_candidate():
     data = throws(n_scenes=3, n_times=12)
     hypothesis = Hypothesis.from_laws(data, ())
     base = fit(hypothesis, data)
-    turn = _Turn(SimpleNamespace(criteria=Criteria(), proposers=()), base, hypothesis)
+    run = SimpleNamespace(criteria=Criteria(), proposers=(), dataset=data)
+    turn = _Turn(run, base, hypothesis)
     wider = Proposal("law", "c * v_i", hypothesis, -3.0, 16.0)
     for times, status in ((1.5, "less"), (0.5, base.status)):  # of what is negative
         found = replace(base, log_likelihood=times * base.log_likelihood)
