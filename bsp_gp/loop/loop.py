@@ -953,8 +953,11 @@ def _proposed(shared, number):
 
 
 def _swamped(found, dataset):
-    """Size of the noise of a fit that has a memory, in how far bodies move about."""
-    if not found.noise.correlated:
+    """Size of the noise of a fit that has a memory, in how far bodies move about.
+
+    Zero beside a law: where forces explain most of a motion noise may be any part of the rest.
+    """
+    if found.law.terms or not found.noise.correlated:
         return 0.0
     moved = count = 0.0
     for scene in dataset.scenes:

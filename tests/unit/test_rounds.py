@@ -1,6 +1,7 @@
 """Whole rounds on small data: what is adopted, what is left open, and what is told of it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.held_out import predictions
 from bsp_gp.loop.close import close_loop
+from bsp_gp.loop.loop import _swamped
 from bsp_gp.report.page import page_of
 from tests.planted import SI
 from tests.throws import C1, GRAVITY, throws
@@ -214,3 +216,15 @@ def test_a_declared_term_of_the_wrong_sign_is_said():
     assert first.effect.code == "number"
     (change,) = first.effect.constants
     assert change.low - 0.001 < -2 < change.high + 0.001
+
+
+def test_noise_is_held_against_the_motion_where_there_is_no_law():
+    data = throws(n_scenes=1, n_times=40)
+    noise = SimpleNamespace(correlated=0.81, levels=(0.3, np.inf))
+    (scene,) = data.scenes
+    places = scene.positions[:, 0]
+    moved = np.sqrt(places.var(axis=0).sum())
+    bare = SimpleNamespace(noise=noise, law=SimpleNamespace(terms=()))
+    assert _swamped(bare, data) == pytest.approx(0.9 * 0.3 / moved)
+    known = SimpleNamespace(noise=noise, law=SimpleNamespace(terms=("c1 * e_x",)))
+    assert _swamped(known, data) == 0.0
