@@ -7,8 +7,10 @@ from bsp_gp.units import OF_THE_SKY, Unit
 ASTRONOMICAL = 1e6
 """Size of the data from which an attraction is gravity, and nothing is held, m."""
 
-DATES = ((1500.0, 2200.0, 0.5), (2.2e6, 2.6e6, 1.0))
-"""Years, and Julian dates in days: between which they are, and how long a recording is."""
+YEARS, JULIAN = (1500.0, 2200.0), (2.2e6, 2.6e6)
+"""Numbers that are decimal years, and Julian dates in days."""
+DATED = ((YEARS, 0.5), (JULIAN, 1.0))
+"""What times without a unit may be, and how long a recording of the sky is in it."""
 
 
 def is_astronomical(dataset):
@@ -38,4 +40,6 @@ def is_of_the_sky(dataset):
 def _is_dated(scene):
     """Whether times are decimal years, or Julian dates."""
     first, last = scene.times[[0, -1]]
-    return any(low <= first and last <= high and last - first > least for low, high, least in DATES)
+    return any(
+        low <= first and last <= high and last - first > least for (low, high), least in DATED
+    )

@@ -37,22 +37,21 @@ def from_maps(table, declaration):
     length = declaration.units.get("length")
     scale = parse_unit(length)[0] if length else 1.0
     x, y = (way / scale for way in _in_plane(np.radians(lat), np.radians(lon)))
-    names = {latitude: table.unused[latitude], longitude: table.unused[longitude]}
-    frame = table.frame.drop(columns=[*names, *(["y"] if table.up == "y" else [])])
-    units = {n: u for n, u in table.units.items() if n not in (*names, "y", "x")}
-    units |= {} if length else {"x": "m", "y": "m"}
-    theirs = {**table.theirs, "x": names[longitude], "y": names[latitude]}
     height = "y" if table.up == "y" else _of(table, _HEIGHT)
+    names = {latitude: table.unused[latitude], longitude: table.unused[longitude]}
+    gone = (*names, height) if height else (*names,)
+    places = {"x": x, "y": y} | ({"z": numbers_of(table, height)} if height else {})
+    own = {} if length else {"x": "m", "y": "m", "z": table.units.get(height, "m")}
+    units = {n: u for n, u in table.units.items() if n not in (*gone, "x", "y")}
+    units |= {axis: own[axis] for axis in places if axis in own}
+    theirs = {**table.theirs, "x": names[longitude], "y": names[latitude]}
     if height:
-        frame = frame.drop(columns=height, errors="ignore").assign(z=numbers_of(table, height))
-        units |= {} if length else {"z": table.units.get(height, "m")}
-        units = {n: u for n, u in units.items() if n != height or n == "y"}
         theirs["z"] = table.theirs.get("y") if height == "y" else table.unused[height]
     note = "latitude and longitude were read as places east (x) and north (y) of where it begins"
     is_taken = height and not (length or table.units.get(height))
     return replace(
-        table, frame=frame.assign(x=x, y=y), units=units, theirs=theirs,
-        unused={n: t for n, t in table.unused.items() if n not in (*names, height)},
+        table, frame=table.frame.drop(columns=list(gone)).assign(**places), units=units,
+        theirs=theirs, unused={n: t for n, t in table.unused.items() if n not in gone},
         notes=(*table.notes, f"{note}, in m on the ellipsoid of WGS 84"
                + (f"; {theirs['z']!r} as the height (z)" if height else "")
                + ("; it has no unit and is taken as in m: --units z=ft says another"

@@ -257,7 +257,8 @@ def _workbook(path):
             "save it as CSV UTF-8"
         ) from error
     try:
-        with CalamineWorkbook.from_filelike(io.BytesIO(path.read_bytes())) as book:
+        content = path.read_bytes()
+        with CalamineWorkbook.from_filelike(io.BytesIO(content)) as book:
             names = book.sheet_names
             sheets = {n: _rows(path, book.get_sheet_by_name(n).to_python()) for n in names}
     except (CalamineError, ValueError, OSError) as error:
@@ -273,7 +274,7 @@ def _workbook(path):
     text = out.getvalue()
     unread = ", ".join(map(repr, filled[1:5]))
     notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {unread}",) if unread else ()
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = hashlib.sha256(content).hexdigest()
     return Source(path, digest, _counts(text), text=text, notes=notes)
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.data.extent import JULIAN, YEARS
 from bsp_gp.data.polar import POLAR_ALIASES, is_polar
 from bsp_gp.data.polar_words import (
     date_unit,
@@ -23,9 +24,9 @@ from bsp_gp.errors import in_python
 
 PRIMARY = "primary"
 _DATES = (
-    ((1500, 2200), "yr", "decimal years"),
+    (YEARS, "yr", "decimal years"),
     ((15_000, 100_000), "day", "modified Julian dates, in days"),
-    ((2.2e6, 2.6e6), "day", "Julian dates, in days"),
+    (JULIAN, "day", "Julian dates, in days"),
 )
 """Ranges of numbers that, in a table of the sky, are dates."""
 _BESSEL_1900, _BESSEL_YEAR = 2415020.31352, 365.242198781

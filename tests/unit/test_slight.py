@@ -10,9 +10,6 @@ from bsp_gp.loop.slight import is_slight, without_the_slight
 from bsp_gp.loop.table import Row
 from tests.loop_views import throws
 
-NOISE = 0.005
-"""Of the thrown balls, m."""
-
 
 def left(size):
     """A fit that leaves so much."""
