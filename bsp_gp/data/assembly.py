@@ -209,7 +209,8 @@ def _inputs(table, declaration, conversion):
 def along_named_axis(table, declaration):
     """The table with its only place along the axis that laws name, if they name another one only.
 
-    A height that a file calls one is read as y; who writes laws in x means it all the same.
+    A height that a file calls one is read as y; who writes laws in x means it all the same. A lone
+    z is a height.
 
     Parameters
     ----------
@@ -218,6 +219,9 @@ def along_named_axis(table, declaration):
     """
     own = [axis for axis in "xyz" if axis in table.frame.columns]
     named = [axis for axis in "xyz" if {f"{axis}_i", f"e_{axis}"} & set(declaration.uses)]
+    if own == ["z"] and "z" not in named:
+        table = replace(table, up="z")
+        named = named or ["y"]
     if len(own) != 1 or len(named) != 1 or own == named or named == ["z"]:
         return table
     (old,), (new,) = own, named
@@ -226,15 +230,18 @@ def along_named_axis(table, declaration):
     if is_said or f"v{old}" in table.frame or is_vertical:
         return table
     place = table.theirs.get(old, old)
-    note = f"laws name {new} alone, and {place!r} is the only place: it is taken as {new}"
+    told = f"laws name {new} alone, and " if declaration.uses else ""
+    note = f"{told}{place!r} is the only place: it is taken as {new}"
 
     def renamed(values):
         return {new if key == old else key: value for key, value in values.items()}
 
+    is_height = old == "z" and table.up == "z"
+
     return replace(
         table, frame=table.frame.rename(columns={old: new, f"s{old}": f"s{new}"}),
         units=renamed(table.units), theirs=renamed({old: place, **table.theirs}),
-        up=None if table.up == old else table.up, notes=(*table.notes, note),
+        up=new if is_height else None if table.up == old else table.up, notes=(*table.notes, note),
     )  # fmt: skip
 
 
@@ -287,14 +294,18 @@ def _require_clock(table, declaration):
         )  # fmt: skip
 
 
+_SYMBOLS = frozenset("aAvVfF")
+"""Of a speed, an acceleration, a force: no places."""
+
+
 def _may_be_place(table, column, axis):
     """Whether a column that means nothing to us may be a coordinate: nothing else speaks of it."""
     cells, unit = table.frame[column], table.units.get(column, "")
     is_number = pd.api.types.is_numeric_dtype(cells)
     if not is_number or cells.nunique() < 2 or is_error(column) or is_count(column):
         return False
-    if unit:
-        return unit_of(unit) == Unit.of(m=1)
+    if unit or column in _SYMBOLS:
+        return bool(unit) and unit_of(unit) == Unit.of(m=1)
     # Who writes the unit of one coordinate writes that of the other.
     return not (table.units.get(axis) or is_no_place(column))
 

@@ -103,13 +103,16 @@ class Conversion:
         What to name in complaints.
     has_fps : bool
         Times come from a frame rate, so they are seconds.
+    by_headings : bool
+        Units stand in the headings alone, and nobody declares any: one of length or time may be
+        missing, and is told as such.
 
     Attributes
     ----------
     system : UnitSystem
     """
 
-    def __init__(self, declared, columns, file=None, has_fps=False):
+    def __init__(self, declared, columns, file=None, has_fps=False, by_headings=False):
         columns = set(columns)
         self.declared = dict(declared)
         self.file = file
@@ -127,7 +130,7 @@ class Conversion:
         if has_fps and "length" in kinds:
             kinds.setdefault("time", "s")
         missing = [kind for kind in ("time", "length") if kind not in kinds]
-        if len(missing) == 1:
+        if len(missing) == 1 and not by_headings:
             example = {"time": "s", "length": "m"}[missing[0]]
             other = {
                 "time": " (or --fps 25 where it counts frames)",

@@ -13,6 +13,10 @@ _FORMATS = (
     (re.compile(r"\d{1,2} [A-Za-z]{3} \d{4} \d\d:\d\d:\d\d\.\d+"), "%d %b %Y %H:%M:%S.%f"),
     (re.compile(r"\d{1,2}-[A-Za-z]{3}-\d{4} \d\d:\d\d:\d\d"), "%d-%b-%Y %H:%M:%S"),
     (re.compile(r"\d{1,2}-[A-Za-z]{3}-\d{4} \d\d:\d\d:\d\d\.\d+"), "%d-%b-%Y %H:%M:%S.%f"),
+    (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2}"), "%Y-%b-%d"),
+    (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2} \d\d:\d\d"), "%Y-%b-%d %H:%M"),
+    (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2} \d\d:\d\d:\d\d"), "%Y-%b-%d %H:%M:%S"),
+    (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2} \d\d:\d\d:\d\d\.\d+"), "%Y-%b-%d %H:%M:%S.%f"),
     (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4}"), "%d.%m.%Y"),
     (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d"), "%d.%m.%Y %H:%M"),
     (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d:\d\d"), "%d.%m.%Y %H:%M:%S"),
@@ -22,6 +26,28 @@ _FORMATS = (
 _TURNED = re.compile(r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d\d:\d\d(\.\d+)?")
 """A date in which day and month may be mistaken for each other, which matters where it changes."""
 _CLOCK = re.compile(r"(\d{1,3}):(\d\d):(\d\d(?:[.,]\d+)?)")
+
+
+EPOCH = (1.0e9, 2.2e9)
+"""Seconds since 1970 of the years 2001 to 2039."""
+_TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+
+
+def since_1970(times, unit=""):
+    """Unix times in seconds since the first of them, and the unit they count; None of others.
+
+    Parameters
+    ----------
+    times : ndarray
+    unit : str
+        That is said of them; empty = none.
+    """
+    known = times[np.isfinite(times)]
+    for name, ticks in _TICKS.items():
+        low, high = (edge * ticks for edge in EPOCH)
+        if len(known) and unit in ("", name) and low <= known.min() and known.max() < high:
+            return (times - known.min()) / ticks, name
+    return None
 
 
 def seconds_of(cells):

@@ -110,7 +110,7 @@ def read_table(path, *, rename=None, as_text=False):
     try:
         layout = sniff(head, dict(rename or {}), marks, path)
         source = source.without_comments(head[: layout.data_line])
-        _require_even_rows(source, layout, head)
+        short = _require_even_rows(source, layout, head)
     except csv.Error as error:  # such as a cell of more than 131,072 characters
         raise DataError(
             f"the rows cannot be told apart: {error}",
@@ -123,7 +123,7 @@ def read_table(path, *, rename=None, as_text=False):
     return long_table(
         frame, layout.headings, layout.units, groups, file=path, title=_title(layout, head),
         line=line, as_text=as_text, digest=source.digest, decimal=layout.decimal,
-        notes=(*source.notes, *layout.notes),
+        notes=(*source.notes, *layout.notes, *short),
     )  # fmt: skip
 
 
@@ -277,9 +277,18 @@ def _without_dates(frame, names):
 
 
 def _require_even_rows(source, layout, head):
-    """Name the first row whose number of cells differs; a file that adds up is not scanned."""
+    """Name the first row whose number of cells differs; a file that adds up is not scanned.
+
+    Rows may lack cells at their ends that mean nothing to us. Of what is cut off in the middle of
+    a line the last cell that is there may be a part of a number.
+
+    Returns
+    -------
+    tuple of str
+        A note of rows that are short.
+    """
     if layout.delimiter is None:
-        return
+        return ()
     n_cells = len(layout.names)
     mark, counts = layout.delimiter.encode(), source.counts
     above = head[: layout.data_line]
@@ -288,18 +297,24 @@ def _require_even_rows(source, layout, head):
     if counts[b'"'] == 0 and n_marks in (n_rows * (n_cells - 1), (n_rows + 1) * (n_cells - 1)):
         first = head[layout.data_line : layout.data_line + 1]
         if not first or len(split_line(first[0], layout.delimiter)) == n_cells:
-            return
+            return ()
     first = "the header" if layout.header_line >= 0 else "the first row"
+    known = [k for k, h in enumerate(layout.headings) if h.sure != UNKNOWN]
+    least, short = max(known, default=n_cells) + 2, []
     with source.open(newline="") as stream:
         for line, row in enumerate(csv.reader(stream, delimiter=layout.delimiter), start=1):
             if line <= layout.data_line or not any(cell.strip() for cell in row):
                 continue
-            if len(row) != n_cells:
+            if least <= len(row) < n_cells:
+                short.append(line)
+            elif len(row) != n_cells:
                 raise DataError(
                     f"this row has {len(row)} cells, {first} has {n_cells} "
                     f"({DELIMITER_NAMES[layout.delimiter]} between them)",
                     file=source.path, row=line, remedy=f"every row needs as many cells as {first}",
                 )  # fmt: skip
+    told = f"rows lack cells at their ends, which are not used: {len(short)}, the first is line"
+    return (f"{told} {short[0]}",) if short else ()
 
 
 def _read_frame(source, layout, as_text):

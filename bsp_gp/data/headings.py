@@ -66,7 +66,9 @@ _AXIS_WORDS = _set("richtung direction achse axis axe eje asse axial")
 """Beside a symbol: ``x-Richtung``."""
 _MAP_WORDS = _set("northing hochwert")
 _UPRIGHT_WORDS = _set("vertical vertikal vertikale verticale verticali senkrecht senkrechte")
-_SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v rv")
+RADIAL_WORDS = _set("rv mnvel radvel rvel vrad vr radial")
+"""Of velocities along the line of sight."""
+_SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v") | RADIAL_WORDS
 _ACCELERATION_WORDS = _set(
     "acceleration accelerometer beschleunigung accélération aceleración aceleracion accelerazione"
     " acc accel"
@@ -102,11 +104,21 @@ _ANGLE = re.compile(
 )
 """An angle, and whose it is: ``theta``, ``phi1``, ``angle_upper``."""
 _COUNT_WORDS = _set("nr no number num nummer index idx # id n° nº numéro número numero of the")
-_INPUT = re.compile(r"[ab]\d")
-"""Of an interface, as in ``s_A1``."""
+_INPUT = re.compile(r"[ab]\d|&[a-z]")
+"""Of an interface, as in ``s_A1``, and signs for Greek letters as CASSY writes them, ``&b_A1``."""
+_GLUED = re.compile(
+    r"(t|time|zeit|angle|winkel|theta|phi|alpha)"
+    r"(days?|s|secs?|seconds?|ms|msec|min|minutes|hours|yr|years?|deg|degrees|rad)", re.IGNORECASE
+)  # fmt: skip
+"""A name with its unit behind it: ``tdays``, ``Angledeg``."""
+_OFFSET = re.compile(
+    r"(?:d|delta|δ|∆|rel)(ra|dec)l?(?:off|offset)?|(ra|dec)l?(?:off|offset|rel)", re.IGNORECASE
+)
+"""An offset on the sky: ``DeltaR.A.``, ``dDec``, ``raoff``."""
 _ROW_WORDS = _set("iter iteration record row sample point reading zeile messpunkt ligne fila riga")
 _BESIDE_WORDS = _set(
-    "temperature temp temperatur température temperatura voltage volt spannung tension current"
+    "temperature temp temperatur température temperatura voltage voltages volt spannung tension"
+    " current"
     " strom corrente corriente pressure druck pression humidity feuchte luftfeuchte battery akku"
     " charge brightness intensity helligkeit lumen light licht quality qualität power leistung"
     " energy energie mass masse weight gewicht comment kommentar note bemerkung remark flag status"
@@ -131,6 +143,10 @@ _PROPERTY_WORDS = {
 }
 _WITH_ITS_UNIT = {"mass": _set("m weight gewicht poids peso"), "charge": _set("q")}
 """Words that mean that property where a unit of it stands beside them."""
+_OF_LOGGERS = _set(
+    "filtered smoothed agl msl asl baro barometric gps gnss estimated est approx aprox"
+)
+"""Words beside those of a place or a time that change nothing."""
 _CLOCKS = _set("utc utcg utcj gmt tdb tai tt iso lt local cet cest")
 """Of which clock a time is: ``Time (UTCG)``."""
 _CLOCK_UNITS = {
@@ -141,7 +157,7 @@ _CLOCK_UNITS = {
 IGNORE = "ignore"
 _GUESSES = {
     "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
-              " epoch time and und et"),
+              " epoch time and und et ts gpstime unixtime"),
     "frame": _set("frame frames bild coords image slice video"),
     "scene": _set("run trial versuch messung lauf essai prova ensayo experiment experience"
                   " wurf throw drop shot release flight fall swing attempt recording aufnahme"
@@ -430,10 +446,12 @@ def _split_unit(cell, back, is_track):
             return stem, match[2].strip()
         if is_track and property_of_words(stem, match[2].strip()):
             return stem, match[2].strip()
-        is_turn = is_angle_word(stem) and match[2].strip().lower() in ANGLES
+        is_turn = is_angle_word(stem) or (is_track and _guess(stem) == "x")
+        is_turn = is_turn and match[2].strip().lower() in ANGLES
         if is_track and (is_turn or (is_far(stem) and is_of_sky(match[2]))):
             return stem, match[2].strip()
-    return cell, ""
+    glued = _GLUED.fullmatch(cell) if is_track and cell not in back else None
+    return (glued[1], glued[2]) if glued else (cell, "")
 
 
 def _our_name(name):
@@ -452,12 +470,17 @@ def _our_name(name):
             return symbols[0], WORD
         if about <= _SPEED_WORDS:
             return f"v{symbols[0]}", WORD
+    offset = _OFFSET.fullmatch(_letters(name))
+    if offset:
+        return "x" if (offset[1] or offset[2]) == "ra" else "y", WORD
     return (ALIASES[lower], WORD) if lower in ALIASES else (name, UNKNOWN)
 
 
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
     words = {word for word in _words(name) - {""} if not _INPUT.fullmatch(word)}
+    if any(len(word) > 1 for word in words - _OF_LOGGERS):
+        words -= _OF_LOGGERS
     if words & _UPRIGHT_WORDS and words - _UPRIGHT_WORDS <= _PLACE_WORDS:
         return "y"
     for ours, known in _GUESSES.items():

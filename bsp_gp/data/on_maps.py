@@ -11,7 +11,8 @@ from bsp_gp.units import parse_unit
 _LATITUDE = frozenset("lat latitude breite breitengrad latitud latitudine".split())
 _LONGITUDE = frozenset("lon lng long longitude länge längengrad longitud longitudine".split())
 _HEIGHT = frozenset("altitude alt height elevation ele hmsl msl höhe hoehe altitud altezza".split())
-_WITH = frozenset("gps gnss deg degrees wgs84 m ft meters metres".split())
+_WAYS = frozenset("distance dist strecke weg distancia distanza".split())
+_WITH = frozenset("gps gnss deg degrees ° wgs84 m ft meters metres data fix".split())
 EQUATOR, FLATTENING = 6_378_137.0, 1 / 298.257223563
 """Radius of the equator, m, and flattening of the ellipsoid of WGS 84."""
 
@@ -28,9 +29,18 @@ def from_maps(table, declaration):
         For a latitude beyond the poles.
     """
     latitude, longitude = _of(table, _LATITUDE), _of(table, _LONGITUDE)
-    if "x" in table.frame or not (latitude and longitude):
+    if not (latitude and longitude):
         return table
+    if _is_way_gone(table, declaration):  # of the same motion, and it says less
+        way = table.theirs["x"]
+        table = replace(
+            table, frame=table.frame.drop(columns="x"), unused={**table.unused, "x": way},
+            theirs={n: t for n, t in table.theirs.items() if n != "x"},
+            units={n: u for n, u in table.units.items() if n != "x"},
+        )  # fmt: skip
     lat, lon = numbers_of(table, latitude), numbers_of(table, longitude)
+    if "x" in table.frame or ("y" in table.frame and np.ptp(lat) == np.ptp(lon) == 0):
+        return table  # all that moves is seen
     if (np.abs(lat) > 90).any():
         row = int((np.abs(lat) > 90).argmax())
         fail_at(table, f"a latitude is between -90 and 90, got {lat[row]:g}", row, latitude, GAP)
@@ -44,6 +54,8 @@ def from_maps(table, declaration):
     own = {} if length else {"x": "m", "y": "m", "z": table.units.get(height, "m")}
     units = {n: u for n, u in table.units.items() if n not in (*gone, "x", "y")}
     units |= {axis: own[axis] for axis in places if axis in own}
+    is_timed = "t" in table.frame and not {"t", "time"} & {*declaration.units, *table.units}
+    units |= {"t": "s"} if is_timed and not length else {}
     theirs = {**table.theirs, "x": names[longitude], "y": names[latitude]}
     if height:
         theirs["z"] = table.theirs.get("y") if height == "y" else table.unused[height]
@@ -55,9 +67,17 @@ def from_maps(table, declaration):
         notes=(*table.notes, f"{note}, in m on the ellipsoid of WGS 84"
                + (f"; {theirs['z']!r} as the height (z)" if height else "")
                + ("; it has no unit and is taken as in m: --units z=ft says another"
-                  if is_taken else "")),
+                  if is_taken else "")
+               + ("; times have no unit and are taken as in s: --units time=ms says another"
+                  if is_timed and not length else "")),
         up="z" if height else None,
     )  # fmt: skip
+
+
+def _is_way_gone(table, declaration):
+    """Whether the place is how far something went, by its words alone."""
+    own = plain_words(table.theirs.get("x", ""))
+    return "x" in table.frame and "x" not in declaration.columns and bool(own & _WAYS)
 
 
 def _of(table, words):

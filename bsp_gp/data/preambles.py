@@ -3,13 +3,13 @@
 Layouts are those of the programs' own documentation: the TRC files of Motion Analysis and OpenSim,
 the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
 loggers, LabVIEW's measurement files, the texts of Leybold's CASSY Lab, measures of double stars as
-the US Naval Observatory mails them, and vector tables of JPL Horizons (its manual: a preamble, a
-line of names, rows in CSV form between ``$$SOE`` and ``$$EOE``).
+the US Naval Observatory mails them, and tables of JPL Horizons (`bsp_gp.data.horizons`).
 """
 
 import csv
 import re
 
+from bsp_gp.data.horizons import plain_horizons
 from bsp_gp.errors import DataError
 
 _AXES = ("X", "Y", "Z")
@@ -70,6 +70,22 @@ def _motive(text, path):
     ]  # fmt: skip
     rows = [_cells(line, ",") for line in lines[start + 1 :] if line.strip()]
     return _long(rows, lambda row: row[1], owners, unit, path)
+
+
+def _tracking_tools(text, path):
+    """The rows of frames that OptiTrack's Tracking Tools wrote, with as many markers as were seen.
+
+    What is told apart is called by the names, which are numbers where nobody gave any.
+    """
+    rows = [cells for line in text.splitlines() if (cells := _cells(line, ","))[:1] == ["frame"]]
+    lines = ["\t".join(["entity", "t (s)", *(f"{axis.lower()} (m)" for axis in _AXES)])]
+    for row in rows:
+        bodies, markers = int(row[3]), row[4:]
+        markers = markers[11 * bodies :]  # of a rigid body: its number, place and turn
+        for k in range(int(markers[0]) if markers else 0):
+            *place, _, name = markers[1 + 5 * k : 6 + 5 * k]
+            lines.append("\t".join([name, row[2], *place]))
+    return "\n".join(lines) + "\n"
 
 
 def _vicon(text, path):
@@ -175,37 +191,6 @@ def _cassy(text, path):
     return f"{header}\n{text[found.end() :].lstrip()}"
 
 
-_BEGIN, _END = "$$SOE", "$$EOE"
-_NAMES = ("JDTDB", "VX", "VY", "VZ", "X", "Y", "Z")
-_UNITS = {"AU-D": ("au", "day"), "KM-S": ("km", "s"), "KM-D": ("km", "day")}
-
-
-def _horizons(text, path):
-    """A vector table with units and the body; what has no names above its rows stays as it is."""
-    if not (f"\n{_BEGIN}" in text and f"\n{_END}" in text and "JDTDB" in text):
-        return text
-    above, rest = text.split(f"\n{_BEGIN}", 1)
-    names = next((line for line in reversed(above.splitlines()) if "JDTDB" in line), "")
-    names = [cell.strip() for cell in names.split(",")]
-    if len(names) < 3:
-        return text
-    units = re.search(r"Output units\s*:\s*(\S+)", above)
-    length, time = _UNITS.get(units[1].rstrip(",") if units else "", ("", ""))
-    body = re.search(r"Target body name:\s*(.*?)\s*(?:\(|\{|$)", above, re.MULTILINE)
-    kept = [k for k, name in enumerate(names) if name in _NAMES]
-    own = {"J": "day", "V": f"{length}/{time}" if time else ""}
-    header = []
-    for name in (names[k] for k in kept):
-        unit = own.get(name[0], length)
-        header.append(f"{name} ({unit})" if unit else name)
-    lines = ["\t".join(["entity", *header])]
-    for line in rest.split(f"\n{_END}", 1)[0].splitlines()[1:]:
-        cells = [cell.strip() for cell in line.split(",")]
-        row = [cells[k] if k < len(cells) else "" for k in kept]
-        lines.append("\t".join([body[1] if body else "body", *row]))
-    return "\n".join(lines) + "\n"
-
-
 _MEASURE = (slice(7, 18), slice(18, 26), slice(26, 33), slice(33, 44), slice(44, 53))
 """Where a line of the Washington catalogue has date, angle, its error, separation, its error."""
 _MEASURED = ("Besselian epoch", "theta (deg)", "theta_err", "rho (arcsec)", "rho_err")
@@ -239,8 +224,11 @@ def _washington(text, path):
 _KNOWN = {
     "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
     "NO_OF_FRAMES": _qualisys, "FILE_VERSION": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy,
-    "LabVIEW Measurement": _labview, "API": _horizons, "Ephemeris": _horizons, "JPL": _horizons,
-    "{": _horizons, "*" * 10: _horizons, "USNO Double Star": _washington,
+    "LabVIEW Measurement": _labview, "USNO Double Star": _washington,
+    'comment,"OptiTrack Export': _tracking_tools,
+    **dict.fromkeys(
+        ("API", "Ephemeris", "JPL", "{", "*" * 10, "@ " + "*" * 8, "# " + "*" * 8), plain_horizons
+    ),
 }  # fmt: skip
 HEADS = tuple(_KNOWN)
 """How such files begin."""
@@ -254,6 +242,7 @@ def without_preamble(text, path):
     DataError
         If the preamble is not as the program writes it, or markers have no names.
     """
+    text = text.lstrip()
     plain = next(rule for head, rule in _KNOWN.items() if text.startswith(head))
     try:
         made = plain(text, path)

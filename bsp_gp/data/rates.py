@@ -11,7 +11,9 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.conversion import is_unit, unit_of
+from bsp_gp.data.extent import JULIAN, YEARS
 from bsp_gp.data.headings import (
+    RADIAL_WORDS,
     is_acceleration,
     is_doubt,
     is_error_of,
@@ -30,6 +32,8 @@ PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
 GRAVITIES = {"g": 9.80665, "G": 9.80665, "mg": 9.80665e-3}
 """Units of accelerometers that elsewhere are others, m/s^2."""
+DATES = (YEARS, JULIAN, (4.0e4, 7.0e4))
+"""Numbers that are dates: years, Julian dates, modified ones."""
 LONE = 0.1
 """Part of the variance of a gyroscope's axis that the others may have, if all turns about it; of
 an accelerometer's, if all moves along it."""
@@ -59,10 +63,26 @@ def from_rates(table, declaration):
     for velocity, of_kind in ((VELOCITIES, _velocities), (ACCELERATIONS, _accelerations)):
         found = of_kind(table, declaration)
         if found:
+            _refuse_stars(table, found)
             table = _without(table, set(_misnamed(table, declaration)) - set(found.values()))
             table = _with_errors(table, found) if velocity == VELOCITIES else table
             return summed(table, declaration, _rates(table, declaration, found, velocity))
     return table, declaration
+
+
+def _refuse_stars(table, found):
+    """DataError for radial velocities with dates: few of them are in one turn of a star."""
+    theirs = [table.theirs.get(n, table.unused.get(n, n)) for n in found.values()]
+    times = numbers_of(table, "t") if "t" in table.frame else np.array([])
+    ends = (np.fmin.reduce(times), np.fmax.reduce(times)) if len(times) else (0.0, 0.0)
+    is_dated = any(low <= ends[0] and ends[1] <= high for low, high in DATES)
+    if is_dated and any(_words(text) & RADIAL_WORDS for text in theirs):
+        raise DataError(
+            f"there are no places, and {theirs[0]!r} are velocities along the line of sight: no "
+            "orbits are sought in them alone", file=table.file, column=theirs[0],
+            remedy="a track needs places; where these have many rows a turn and are to be added "
+            "up, count the time from the first row",
+        )  # fmt: skip
 
 
 def _without(table, columns):

@@ -96,9 +96,10 @@ def sniff(head, rename, marks, path):
     cells = _header_cells(head[number], delimiter, said)
     cells = _without_idle_end(head, number, delimiter, cells)
     _require_names_of_all(head, number, delimiter, cells, path)
-    if cells and all(_is_number(cell) for cell in cells if cell):
+    n_numbers = sum(map(_is_number, cells))
+    if n_numbers == len([cell for cell in cells if cell]) or 2 * n_numbers > len(cells) > 2:
         raise DataError(
-            f"the first line holds {len(cells)} number(s) where the names of the columns are "
+            f"the first line holds {n_numbers} number(s) where the names of the columns are "
             "expected",
             file=path, row=number + 1, remedy=_remedy_of_numbers(cells),
         )  # fmt: skip
@@ -263,6 +264,7 @@ def _likely_header(head):
 def _finish(head, number, delimiter, found):
     units = [h.unit for h in found]
     names, data_line = [h.name for h in found], number + 1
+    delimiter = _of_rows(head, number, delimiter, len(found))
     # Below the names there may be others (symbols; a program's own words) and the units.
     for line in range(number + 1, min(number + 4, len(head))):
         row = _header_cells(head[line], delimiter)
@@ -289,6 +291,14 @@ def _finish(head, number, delimiter, found):
         title = _of_individuals(split_line(head[number - 2], delimiter), title)
     decimal = _decimal(head[data_line:], delimiter)
     return Layout(delimiter, found, tuple(units), number, data_line, decimal, title)
+
+
+def _of_rows(head, number, delimiter, n_cells):
+    """What tells cells of rows apart, where that is another than in the header."""
+    below = _below(head, number)
+    others = [mark for mark in _DELIMITERS[:-1] if len(split_line(below, mark)) == n_cells > 1]
+    is_other = others and len(split_line(below, delimiter)) == 1
+    return others[0] if is_other else delimiter
 
 
 def _of_individuals(above, title):

@@ -199,8 +199,8 @@ def _counts(text):
 def _told_apart(source, names):
     """The source itself, or the plain table below the preamble of a program."""
     with source.open() as stream:
-        head = stream.read(20)
-        if not head.startswith(HEADS):
+        head = stream.read(_BEGIN)
+        if not head.lstrip().startswith(HEADS):
             return source
         text = head + stream.read()
     plain, notes = without_preamble(text, source.path)
@@ -211,6 +211,8 @@ def _told_apart(source, names):
     return replace(source, text=plain, counts=_counts(plain), notes=(*source.notes, *notes))
 
 
+_BEGIN = 60
+"""Characters by which the files of programs are known."""
 _HEADER = 60
 """Lines among which the names of the columns are looked for."""
 

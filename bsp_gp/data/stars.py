@@ -23,6 +23,9 @@ from bsp_gp.data.sky import is_sky
 from bsp_gp.errors import in_python
 
 PRIMARY = "primary"
+WIDEST = 30.0
+"""Median separation above which numbers without a unit are milliarcseconds: of the pairs whose
+motion anyone follows, few are wider than that in arcseconds."""
 _DATES = (
     (YEARS, "yr", "decimal years"),
     ((15_000, 100_000), "day", "modified Julian dates, in days"),
@@ -139,7 +142,8 @@ def _with_units(table, declaration):
     """The declaration with units that nobody says: those of every catalogue of double stars."""
     known = {**table.units, **declaration.units}
     said = {"distance": {"distance", "length", "x"} & set(known), "angle": {"angle"} & set(known)}
-    guesses = {"distance": "arcsec", "angle": "deg"}
+    far = np.nanmedian(table.frame["distance"].to_numpy(dtype=float))
+    guesses = {"distance": "mas" if far > WIDEST else "arcsec", "angle": "deg"}
     missing = {name: unit for name, unit in guesses.items() if not said[name]}
     if not missing:
         return table, declaration

@@ -1,4 +1,4 @@
-"""Columns of times that are steps, or that were rounded until rows share one."""
+"""Columns of times that are steps, or that were rounded: until rows share one, or coarsely."""
 
 import re
 from dataclasses import replace
@@ -19,7 +19,13 @@ LEAST_ROWS, LEAST_ROUNDED = 10, 30
 """Rows of steps, and of times that are made even."""
 LEAST_TIES, MOST_TIES = 3, 0.35
 """Of the latter, rows that share the time of the row before, at the least, and the part of them at
-the most: fewer may be slips, and more of two bodies."""
+the most where they do so from the begin on: fewer may be slips, and more of two bodies."""
+MOST_APART = 4.0
+"""Steps up to which columns of times side by side are one clock, each rounded."""
+MANY = 10
+"""Rows from one to another between which steps are told."""
+COARSE = 0.02
+"""Step between rows, of which a last digit is such a part: less does no harm."""
 
 
 def with_sums_of_steps(frame, found):
@@ -76,56 +82,93 @@ def _are_steps(cells):
 
 
 def with_even_clocks(frame, columns):
-    """The table with even times where rounding made neighbours share one, and a note of it.
+    """The table with even times where they were rounded coarsely, and a note of it.
 
     Recordings below each other are told apart by a column ``scene``. Rows of bodies below each
     other share their times, as those do that were written twice: they are left alone.
     """
-    clocks = [c for c in columns if frame[c].dtype.kind == "f" and (frame[c].diff() == 0).any()]
+    clocks = [c for c in columns if frame[c].dtype.kind == "f"]
     if "entity" in frame.columns or not clocks:
         return frame, ()
     keys = frame["scene"] if "scene" in frame.columns else pd.Series(0, frame.index)
-    is_copy, notes = (frame == frame.shift()).all(axis=1), ()
+    is_copy, notes, made = (frame == frame.shift()).all(axis=1), (), []
     for column in clocks:
         out = frame[column].copy()
         for _, part in frame[column].groupby(keys, sort=False):
             n_ties = (part.diff() == 0).sum()
-            even = _evened(part) if 2 * is_copy[part.index].sum() < n_ties else None
+            even = _alike(part, made)
+            if even is None and 2 * is_copy[part.index].sum() < max(n_ties, 1):
+                even = _evened(part)
             if even is not None:
                 out[part.index] = even
-                step = np.nanmax(np.diff(even))
+                made.append((part, even))
+                step = np.nanmedian(np.diff(even))
+                how = "until rows share one" if n_ties else "coarsely"
                 notes = (
-                    "times were rounded until rows share one: they are taken as even, every "
-                    f"{step:.6g}, which fits all of them within their digits",
+                    f"times were rounded {how}: they are taken as even, every {step:.6g}, which "
+                    "fits all of them within their digits",
                 )
         frame = _with(frame, column, out) if notes else frame
     return frame, notes
 
 
+def _alike(times, made):
+    """Even times of another column with the same times but for a row's step; None without one."""
+    for others, even in made:
+        if len(others) == len(times) and np.array_equal(others.isna(), times.isna()):
+            off, step = np.abs(times.to_numpy() - others.to_numpy()), np.nanmedian(np.diff(even))
+            if np.nanmedian(off) == 0 and np.nanmax(off) <= MOST_APART * step:
+                return even
+    return None
+
+
 def _evened(times):
     """Times (n,) of rows as they were before they were rounded; None where that does not show.
 
-    An even clock must fit all of them within half of their last digit.
+    An even clock, of which rows may be missing, must fit all of them within their last digit, and
+    differ from them.
     """
     known = times.notna().to_numpy()
     v, k = times.to_numpy(dtype=float)[known], np.flatnonzero(known)
     steps = np.diff(v)
-    ties = np.count_nonzero(steps == 0)
-    if len(v) < LEAST_ROUNDED or (steps < 0).any() or not LEAST_TIES <= ties <= MOST_TIES * len(v):
+    ties = np.flatnonzero(steps == 0)
+    if len(v) < LEAST_ROUNDED or (steps < 0).any() or 0 < len(ties) < LEAST_TIES:
         return None
-    design = np.stack([np.ones(len(k)), k], axis=1)
+    if len(ties) > MOST_TIES * len(v) and ties[0] < LEAST_ROUNDED:
+        return None
     for digit in _last_digits(v):
-        line = np.linalg.lstsq(design / digit[:, None], v / digit, rcond=None)[0]
-        even = np.where(known, line[0] + line[1] * np.arange(len(times)), np.nan)
-        if (np.abs(even[known] - v) <= (0.5 + 1 / np.sqrt(len(v))) * digit).all():
-            return even - even[known][0] + v[0]  # when it began does not matter
+        frames = _frames(k, v, digit) if len(ties) else k
+        design = np.stack([np.ones(len(k)), frames], axis=1)
+        begin, step = np.linalg.lstsq(design / digit[:, None], v / digit, rcond=None)[0]
+        off = np.abs(begin + step * frames - v)
+        most = (0.5 + 1 / np.sqrt(len(v))) * digit
+        if len(ties) and np.ptp(digit):  # lost digits tell more surely than ties what happened
+            most = digit + COARSE * step
+        if (off <= most).all():
+            if off.max() <= COARSE / 4 * step:
+                return None  # as good as they stand
+            even = np.interp(np.arange(len(times)), k, step * (frames - frames[0]) + v[0])
+            return np.where(known, even, np.nan)  # when it began is no matter
     return None
 
 
+def _frames(k, v, digit):
+    """Numbers (n,) of the frames of rows k at times v, which are off by a digit at the most."""
+    step, frames = np.median((v[MANY:] - v[:-MANY]) / (k[MANY:] - k[:-MANY])), k.astype(float)
+    for _ in range(2):
+        behind = (v - v[0]) / step - (frames - frames[0])
+        lost = np.diff(np.maximum.accumulate(np.maximum(behind - digit / step, 0.0)), prepend=0.0)
+        frames = frames + np.cumsum(np.round(lost))
+        step = np.polyfit(frames, v, 1)[0]
+    return frames
+
+
 def _last_digits(values):
-    """Sizes (n,) of the last digits, if all numbers have as many decimals, and as many digits."""
+    """Sizes (n,) of the last digits, if all numbers have as many decimals; if all of a size do."""
     parts = [Decimal(repr(value)).normalize() for value in values.tolist()]
-    yield np.full(len(values), 10.0 ** min(part.as_tuple().exponent for part in parts))
-    most = max(len(part.as_tuple().digits) for part in parts)
-    sizes = np.array([part.adjusted() if part else np.nan for part in parts], dtype=float)
-    yield 10.0 ** (np.where(np.isnan(sizes), np.nanmin(sizes), sizes) - most + 1)
+    ends = np.array([part.as_tuple().exponent for part in parts])
+    yield np.full(len(values), 10.0 ** ends.min())
+    sizes = np.array([part.adjusted() if part else -99 for part in parts])
+    sizes = np.maximum(sizes, sizes[sizes > -99].min(initial=0))
+    least = {size: ends[sizes == size].min() for size in set(sizes.tolist())}
+    yield 10.0 ** np.array([least[size] for size in sizes.tolist()], dtype=float)

@@ -31,6 +31,8 @@ NEIGHBOURS = 15
 CURVED = 0.1
 """Part of the error of a row up to which its value is taken as the mean over its time."""
 LEAST_ROWS, LISTED = 4, 5
+MOST_AGAIN = 0.01
+"""Part of the rows that may have a time that was: a logger's slip."""
 COARSEST, COARSE = 5.0, 0.25
 """Quoted errors that half of the values may be off the line between their neighbours, if all are
 off by more than such a part of how much they vary."""
@@ -95,7 +97,7 @@ def summed(table, declaration, rates):
     if lost.any():
         fail_at(table, "empty cell or NaN where a time is needed", int(lost.argmax()), "t")
     values = np.stack([numbers_of(table, name) for name in found.values()], axis=1)
-    pieces, far = _pieces(table, times, values, rates)
+    pieces, far, twice = _pieces(table, times, values, rates)
     if not any(pieces.values()):
         raise DataError(
             f"there are no places, and no track has four {many}", file=table.file,
@@ -114,7 +116,7 @@ def summed(table, declaration, rates):
         table, frame=frame, units=units, untimed="",
         theirs={**table.theirs, **dict(zip(found, rates.headings, strict=True))},
         unused={k: v for k, v in table.unused.items() if k not in found.values()},
-        notes=(*table.notes, *_notes(rates, pieces, far, len(times))),
+        notes=(*table.notes, *_notes(rates, pieces, (far, twice), len(times))),
     )  # fmt: skip
     said = {name: unit for name, unit in declaration.units.items() if name not in found.values()}
     noise = _noise(declaration, times, rates)
@@ -122,15 +124,19 @@ def summed(table, declaration, rates):
 
 
 def _pieces(table, times, values, rates):
-    """Rows of the pieces of every track, by the track's name, and lines of what is far off."""
+    """Rows of the pieces of every track, by the track's name; lines far off, and at one time."""
     one, _ = WHAT[rates.velocity]
     keys = [name for name in ("scene", "entity") if name in table.frame]
     groups = table.frame.groupby(keys, sort=False, dropna=False).indices if keys else {
         "": np.arange(len(times))
     }  # fmt: skip
-    far, good = [], np.isfinite(values).all(axis=1)
+    far, twice, good = [], [], np.isfinite(values).all(axis=1)
     for rows in groups.values():
         rows = rows[good[rows]]
+        again = rows[1:][times[rows[1:]] <= np.fmax.accumulate(times[rows])[:-1]]
+        if 0 < len(again) <= max(MOST_AGAIN * len(rows), 1):
+            good[again], twice = False, [*twice, *table.frame.index[again].tolist()]
+            rows = rows[good[rows]]
         back = np.flatnonzero(np.diff(times[rows]) <= 0)
         if len(back):
             problem = f"times must increase from {one} to {one} of a body"
@@ -142,7 +148,8 @@ def _pieces(table, times, values, rates):
     good &= _are_common(table, times, good)
     _require_dense(table, times, values, [r[good[r]] for r in groups.values()], rates)
     parts = {name: _parts(times, rows[good[rows]]) for name, rows in groups.items()}
-    return {name: [p for p in own if len(p) >= LEAST_ROWS] for name, own in parts.items()}, far
+    long = {name: [p for p in own if len(p) >= LEAST_ROWS] for name, own in parts.items()}
+    return long, far, twice
 
 
 def _require_dense(table, times, values, groups, rates):
@@ -172,18 +179,19 @@ def _off_neighbours(times, values, error):
     return np.stack([off, error[1:-1]])[:, is_near]
 
 
-def _notes(rates, pieces, far, count):
-    """What is told of how places were made, of so many rows."""
-    _, many = WHAT[rates.velocity]
-    used = sum(len(part) for parts in pieces.values() for part in parts) + len(far)
+def _notes(rates, pieces, left, count):
+    """What is told of how places were made, of so many rows; `left` has the lines left out."""
+    (_, many), (far, twice) = WHAT[rates.velocity], left
+    used = sum(len(part) for parts in pieces.values() for part in parts) + len(far) + len(twice)
     yield _told(rates, used < count, max(map(len, pieces.values())) > 1)
     gone = [str(name) for name, parts in pieces.items() if not parts]
     if gone:
         listed = ", ".join(gone[:LISTED])
         yield f"tracks with fewer than {LEAST_ROWS} {many} are left out: {listed}"
-    if far:
-        listed = ", ".join(map(str, far[:LISTED])) + (" ..." if len(far) > LISTED else "")
-        yield f"{many} far off their neighbours are left out: {len(far)}, in line {listed}"
+    for lines, how in ((far, "far off their neighbours"), (twice, "at a time that was")):
+        listed = ", ".join(map(str, lines[:LISTED])) + (" ..." if len(lines) > LISTED else "")
+        if lines:
+            yield f"{many} {how} are left out: {len(lines)}, in line {listed}"
 
 
 def _told(rates, is_short, is_split):

@@ -29,6 +29,7 @@ from bsp_gp.data.assembly import (
 )
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, Conversion, ratio_of
+from bsp_gp.data.dates import since_1970
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
@@ -48,7 +49,7 @@ from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.trk import read_trk
-from bsp_gp.data.twice import by_date, measures_at_once
+from bsp_gp.data.twice import by_date, measures_at_once, without_copies
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError, UnitError, in_python
 from bsp_gp.output.mark import read_mark
@@ -318,6 +319,7 @@ def _assemble(table, roster, declaration, default_name):
         table = with_properties_by_words(table, declaration.units)
         roster, table = roster_within(table, declaration.units)
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
+    table = _since_1970(table, declaration.units)
     table = _dates_as_declared(table, declaration.units)
     table, declaration, is_star = read_stars(table, declaration)
     declaration = _with_their_names(table, declaration)
@@ -340,9 +342,12 @@ def _assemble(table, roster, declaration, default_name):
     for each in tables:
         known |= set(each.frame.columns) | {str(c)[:-2] for c in each.frame if str(c)[-2:] == "_x"}
     known |= {unit for t in tables for unit in t.units}
+    by_headings = not {"length", "time", "t", *"xyz"} & set(declared) and not is_star
+    units_notes += _half_said(table, units) if by_headings else []
     conversion = Conversion(
-        units, known, declaration.file or table.file, has_fps=declaration.fps is not None
-    )
+        units, known, declaration.file or table.file, has_fps=declaration.fps is not None,
+        by_headings=by_headings,
+    )  # fmt: skip
     is_said = roster is not None and (
         not isinstance(roster, Table) or "dynamic" in roster.frame.columns
     )
@@ -350,6 +355,7 @@ def _assemble(table, roster, declaration, default_name):
         shares = [latent.share for latent in declaration.latents]
         roster = read_roster(roster, conversion, coded=shares)
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
+    rows, copied = without_copies(rows)
     rows, put = by_date(rows)
     rows, twice = measures_at_once(rows)
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
@@ -371,6 +377,7 @@ def _assemble(table, roster, declaration, default_name):
         *units_notes,
         *input_notes,
         *rows.notes,
+        *copied,
         *put,
         *twice,
         *apart,
@@ -514,6 +521,23 @@ def _about_unit_of_x(table, units):
     return [told] if more else []
 
 
+def _since_1970(table, units):
+    """Unix times, whatever they count, in seconds since the first."""
+    if "t" not in table.frame.columns or table.is_dated or {"t", "time"} & set(units):
+        return table
+    if not pd.api.types.is_numeric_dtype(table.frame["t"]):
+        return table
+    found = since_1970(table.frame["t"].to_numpy(dtype=float), table.units.get("t", ""))
+    if found is None:
+        return table
+    times, unit = found
+    notes = (*table.notes, f"times count {unit} since 1970: they are in seconds since the first")
+    return dataclasses.replace(
+        table, frame=table.frame.assign(t=times), units={**table.units, "t": "s"}, notes=notes,
+        is_dated=True,
+    )  # fmt: skip
+
+
 def _dates_as_declared(table, units):
     """Times that were dates in the unit that is declared: they are in none of their own."""
     text = units.get("t", units.get("time"))
@@ -594,6 +618,18 @@ def _units_of(tables, declared):
             )
             units[column] = "px"
     return units | declared, notes
+
+
+def _half_said(table, units):
+    """A note where headings tell the unit of lengths or that of times, and not both."""
+    has_length, has_time = ({"x", "y", "z"} & set(units), "t" in units)
+    if bool(has_length) == has_time or "t" not in table.frame.columns:
+        return []
+    kind, unit = ("length", "m") if has_time else ("time", "s")
+    return [in_python(
+        f"{CHECK}headings give no unit of {kind}: {kind}s stay numbers of the file, told in "
+        f"'{kind}'; --units {kind}={unit} says what they are in"
+    )]  # fmt: skip
 
 
 def _require_renames(declaration, tables):

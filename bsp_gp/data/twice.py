@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.data.scene import CHECK
+
 AGREE = 5.0
 """Standard errors of their difference by which measures at one time may differ."""
 LISTED = 8
@@ -42,6 +44,7 @@ def _taken(rows, chosen):
     taken = {
         name: getattr(rows, name)[chosen]
         for name in ("scene", "entity", "times", "lines", "positions", "sigma")
+        if getattr(rows, name) is not None
     }
     return replace(
         rows, **taken,
@@ -50,6 +53,21 @@ def _taken(rows, chosen):
         first=rows.first and tuple(values[chosen] for values in rows.first),
         logged={n: (text, values[chosen], unit) for n, (text, values, unit) in rows.logged.items()},
     )  # fmt: skip
+
+
+def without_copies(rows):
+    """Rows without those that say again what the row before says, and a note of these."""
+    same = [np.diff(v) == 0 for v in (rows.scene, rows.entity, rows.times)]
+    same += [(np.diff(rows.positions, axis=0) == 0).all(axis=1)]
+    if rows.sigma is not None:
+        same += [(np.isnan(s[1:]) & np.isnan(s[:-1])) | (s[1:] == s[:-1]) for s in rows.sigma.T]
+    is_copy = np.append(False, np.all(same, axis=0))
+    if rows.velocities is not None or not is_copy.any():
+        return rows, ()
+    lines = rows.lines[is_copy]
+    listed = ", ".join(map(str, lines[:LISTED])) + (" ..." if len(lines) > LISTED else "")
+    note = f"{len(lines)} row(s) say time and place of the row before again: left out ({listed})"
+    return _taken(rows, np.flatnonzero(~is_copy)), (CHECK + note,)
 
 
 def measures_at_once(rows):

@@ -204,7 +204,7 @@ def test_bad_arguments(tmp_path, arguments, expected):
         ([1, 2], "must be a DataFrame"),
         (pd.DataFrame({"t": [], "x": [], "y": []}), "no rows"),
         (pd.DataFrame({"t": [0, 1, 2], "x": [0, 1, 2], "w": [0, 1, 3]}), "no column 'y'"),
-        (pd.DataFrame({"t": [0, 1, 2], "z": [0, 1, 2]}), "no column 'x'"),
+        (pd.DataFrame({"t": [0, 1, 2], "w": [0, 1, 2]}), "no column 'x'"),
         (pd.DataFrame({"t": [0, 1, 2], "x": [0, np.nan, 2], "y": 0.0}), "empty cell or NaN"),
         (pd.DataFrame({"t": [0, 1, 2], "x": ["0", "a", "2"], "y": 0.0}), "expected numbers"),
     ],

@@ -24,7 +24,7 @@ def every(step, n=20):
     ("declared", "times"),
     [
         ("fps = 30", every(0.1 / 3)),
-        ("fps = 30", [round(k / 30, 2) for k in range(40)]),  # digits rounded
+        ("fps = 30", [round(k / 30, 2) for k in range(25)]),  # digits rounded
         ("fps = 29.97", every(1 / 30)),
         ("dt = 0.02", [0.0, 0.02, 0.04, 0.1, 0.12, 0.14, 0.3]),  # frames missing
     ],

@@ -53,7 +53,6 @@ def test_a_table_is_read_right_or_refused_with_what_helps(tmp_path, name):
 @pytest.mark.parametrize(
     ("name", "cut", "said"),
     [
-        ("motive", lambda text: text.replace("Length Units", "Units"), "no unit of length"),
         ("trc", lambda text: text.replace("ball\t", "\t"), "must name markers"),
         ("vicon", lambda text: text[:20], "preamble cannot be read"),
         ("campbell", lambda text: "\n".join(text.splitlines()[:2]), "preamble cannot be read"),

@@ -170,7 +170,13 @@ def test_places_are_not_overridden_by_velocities():
     assert Dataset.from_frames(ways, units={"time": "s"}).velocity == "ignore"
 
 
-@pytest.mark.parametrize("change", [{5: 0.16}, {5: 0.28}])
+def test_a_row_with_a_time_that_was_is_left_out_and_told(table):
+    table.loc[5, "t (s)"] = table.loc[3, "t (s)"]
+    data = Dataset.from_frames(table)
+    assert any("at a time that was are left out: 1, in line 6" in note for note in data.notes)
+
+
+@pytest.mark.parametrize("change", [dict.fromkeys(range(5, 95, 3), time) for time in (0.0, 0.1)])
 def test_times_of_velocities_must_increase(table, change):
     for row, time in change.items():
         table.loc[row, "t (s)"] = time

@@ -81,6 +81,35 @@ def test_times_that_were_rounded_are_even(form, way):
     assert any("rounded until rows share one" in note for note in data.notes)
 
 
+def test_frames_that_are_lost_among_rounded_times_leave_a_gap():
+    kept = np.delete(np.arange(300), range(70, 78))
+    times = rounded(119.9, "%.2f")[kept]
+    data = dataset_from_frames(pd.DataFrame({"t": times, "x": np.sin(kept / 40), "y": 0.0}))
+    np.testing.assert_allclose(data.scenes[0].times, kept / 119.9, atol=0.011)
+    assert (np.diff(data.scenes[0].times) > 0).all()
+
+
+def test_digits_that_grow_with_the_time_until_rows_share_one():
+    """Three digits, as spreadsheets write them: from 10 s on three rows have one time."""
+    times = np.array([float(f"{k / 30:.2e}") for k in range(600)])
+    x = np.cos(np.arange(600) / 30)
+    data = dataset_from_frames(pd.DataFrame({"t": times, "x": x, "y": 0.0}))
+    np.testing.assert_allclose(data.scenes[0].times, np.arange(600) / 30, atol=0.05)
+    assert np.ptp(np.diff(data.scenes[0].times)) < 1e-9
+
+
+def test_times_with_coarse_digits_are_taken_as_even_and_fine_ones_are_left():
+    frames = np.arange(100)
+    for digits, note in ((2, True), (6, False)):
+        times = np.round(frames / 30, digits)
+        data = dataset_from_frames(pd.DataFrame({"t": times, "x": np.cos(times), "y": 0.0}))
+        assert any("rounded coarsely" in told for told in data.notes) == note
+        np.testing.assert_allclose(data.scenes[0].times, frames / 30, atol=1e-3 if note else 1e-6)
+    uneven = np.cumsum(1 / 30 + 0.008 * np.sin(frames))
+    data = dataset_from_frames(pd.DataFrame({"t": uneven.round(2), "x": np.cos(uneven), "y": 0.0}))
+    np.testing.assert_allclose(data.scenes[0].times, uneven.round(2))
+
+
 def doubled(t, k):
     return np.insert(t, k, t[k])
 
@@ -90,7 +119,6 @@ def doubled(t, k):
     [
         doubled(np.arange(100.0), 50),
         doubled(np.arange(100.0), [3, 9, 44, 60]),
-        np.delete(rounded(119.9, "%.2f"), range(70, 78)),
     ],
 )
 def test_other_rows_at_one_time_are_refused_with_what_may_be_the_remedy(times):
@@ -100,7 +128,11 @@ def test_other_rows_at_one_time_are_refused_with_what_may_be_the_remedy(times):
 
 
 @pytest.mark.parametrize("rows", [range(5, 200, 10), range(200), [*range(99), *range(120, 200)]])
-def test_rows_that_were_written_twice_or_are_of_two_bodies_are_refused(rows):
+def test_rows_that_were_written_twice_are_left_out_and_two_bodies_refused(rows):
     t = doubled(np.arange(200.0), rows)
-    with pytest.raises(DataError, match="duplicate"):
-        dataset_from_frames(pd.DataFrame({"t": t, "x": np.sin(t), "y": 0.0}))
+    data = dataset_from_frames(pd.DataFrame({"t": t, "x": np.sin(t), "y": 0.0}))
+    np.testing.assert_array_equal(data.scenes[0].times, np.arange(200.0))
+    assert any(f"{len(rows)} row(s) say time and place" in note for note in data.notes)
+    if len(rows) > 20:  # every tenth row twice is what rounding does too
+        with pytest.raises(DataError, match="duplicate"):
+            dataset_from_frames(pd.DataFrame({"t": t, "x": np.sin(t), "y": np.arange(len(t)) % 7}))

@@ -1,0 +1,153 @@
+"""Tables of JPL Horizons as plain ones.
+
+Their layouts are those of its manual: below a preamble and a line of names rows stand between
+``$$SOE`` and ``$$EOE``, separated by commas or in columns of fixed width. Vector tables have
+places and velocities; of observer tables right ascension and declination are read, or heliocentric
+longitude, latitude and distance.
+"""
+
+import math
+import re
+from datetime import datetime, timedelta
+
+from bsp_gp.errors import DataError
+
+BEGIN, END = "$$SOE", "$$EOE"
+_VECTORS = ("JDTDB", "VX", "VY", "VZ", "X", "Y", "Z")
+_UNITS = {"AU-D": ("au", "day"), "KM-S": ("km", "s"), "KM-D": ("km", "day")}
+_RECORD = re.compile(r"\s*(\d+\.\d+)\s*=\s*(?:A\.D\.|B\.C\.|\d)")
+_TIME = "t (day)"
+_ENTRY = re.compile(r"\b(V?[XYZ])\s*=\s*([-+]?\d\.\d+E[-+]\d+)")
+
+
+def plain_horizons(text, path):
+    """A table with units and the body; what is none of Horizons' stays as it is.
+
+    Raises
+    ------
+    DataError
+        Where an observer table says no place.
+    """
+    begin = re.search(rf"^(.*?){re.escape(BEGIN)}\s*$", text, re.M)
+    if begin is None:
+        return text
+    mark = begin[1].strip()  # someone's sign of a comment
+    lines = [line.removeprefix(mark) if mark else line for line in text.splitlines()]
+    at = next(k for k, line in enumerate(lines) if line.strip() == BEGIN)
+    end = next((k for k in range(at, len(lines)) if lines[k].strip() == END), len(lines))
+    above = lines[:at]
+    rows = [line for line in lines[at + 1 : end] if line.strip() and line.strip("* ")]
+    named = [line for line in above if line.strip("* ")]
+    body = re.search(r"Target body name:\s*(.*?)\s*(?:\(|\{|$)", "\n".join(above), re.M)
+    units = re.search(r"Output units\s*:\s*([\w-]+)", "\n".join(above))
+    length, time = _UNITS.get(units[1] if units else "", ("", ""))
+    if not (rows and named):
+        return text
+    if _RECORD.match(rows[0]):
+        header, cells = list(_VECTORS), _records(rows)
+    elif "," in named[-1]:
+        header, cells = _separated(named[-1], rows)
+    else:
+        header, cells = _by_width(named[-1].rstrip(), rows)
+    if "JDTDB" in header:
+        made, cells = _vectors(header, cells, length, time)
+    else:
+        made, cells = _seen(header, cells, path)
+    name = body[1] if body else "body"
+    table = [["entity", *made], *([name, *row] for row in cells)]
+    return "\n".join("\t".join(row) for row in table) + "\n"
+
+
+def _records(rows):
+    """Cells of a vector table that has several lines for every time."""
+    out = []
+    for line in rows:
+        start = _RECORD.match(line)
+        if start:
+            out.append({"JDTDB": start[1]})
+        elif out:
+            out[-1].update(_ENTRY.findall(line))
+    return [[own.get(name, "") for name in _VECTORS] for own in out]
+
+
+def _separated(line, rows):
+    """Names and cells of a table in CSV form."""
+    names = [cell.strip() for cell in line.split(",")]
+    cells = [[cell.strip() for cell in row.split(",")] for row in rows]
+    return names, [[*row, *[""] * len(names)][: len(names)] for row in cells]
+
+
+def _by_width(line, rows):
+    """Names and cells of a table in columns, each of which ends below its name."""
+    ends = [(m.end(), m[0]) for m in re.finditer(r"\S+", line)]
+    starts = [0, *(end for end, _ in ends[:-1])]
+    cells = [[row[a:b].strip() for a, (b, _) in zip(starts, ends, strict=True)] for row in rows]
+    return [name for _, name in ends], cells
+
+
+def _vectors(names, cells, length, time):
+    """Columns of a vector table: their headings with units, and their cells."""
+    kept = [k for k, name in enumerate(names) if name in _VECTORS and any(row[k] for row in cells)]
+    own = {"J": "day", "V": f"{length}/{time}" if time else ""}
+    header = []
+    for name in (names[k] for k in kept):
+        unit = own.get(name[0], length)
+        header.append(f"{name} ({unit})" if unit else name)
+    return header, [[row[k] for k in kept] for row in cells]
+
+
+def _seen(names, cells, path):
+    """Columns of an observer table: a time, and what says a place."""
+    columns = {re.sub(r"_+", "_", name): k for k, name in enumerate(names)}
+    dates = [k for name, k in columns.items() if name.startswith("Date")]
+    julian = [k for name, k in columns.items() if "JD" in name]
+    column = (julian or dates or [0])[-1]
+    cells = [[row[column] if julian else _days(row[column], path), *row] for row in cells]
+    columns = {name: k + 1 for name, k in columns.items()}
+    both = [k for name, k in columns.items() if name.startswith("R.A.") and name.endswith("DEC")]
+    if both:
+        cut = [_angles(row[both[0]]) for row in cells]
+        return [_TIME, "ra", "dec"], [[row[0], *p] for row, p in zip(cells, cut, strict=True)]
+    alone = [[k for n, k in columns.items() if n.startswith(w)] for w in ("R.A.", "DEC")]
+    if all(alone):
+        return [_TIME, "ra", "dec"], [[row[0], *(row[k[0]] for k in alone)] for row in cells]
+    spherical = [columns.get(name) for name in ("hEcl-Lon", "hEcl-Lat", "r")]
+    if None not in spherical:
+        header = [_TIME, *(f"{axis} (au)" for axis in "xyz")]
+        return header, [[row[0], *_place(*(row[k] for k in spherical))] for row in cells]
+    raise DataError(
+        f"this observer table of Horizons says no place; its columns are {', '.join(names)}",
+        file=path,
+        remedy="ask Horizons for a vector table, or for right ascension and declination "
+        "(quantity 1), or for heliocentric longitude, latitude and distance (18 and 19)",
+    )  # fmt: skip
+
+
+def _days(text, path):
+    """Days of a date such as ``2022-Sep-01 21:14``, counted from the year 1, as a text."""
+    for form in ("%Y-%b-%d %H:%M", "%Y-%b-%d %H:%M:%S", "%Y-%b-%d %H:%M:%S.%f", "%Y-%b-%d"):
+        try:
+            date = datetime.strptime(text.removeprefix("A.D. ").strip(), form)
+        except ValueError:
+            continue
+        clock = date - datetime(date.year, date.month, date.day)
+        return repr(date.toordinal() + clock / timedelta(days=1))
+    raise DataError(
+        f"no date is known in {text!r}", file=path, remedy="ask Horizons for Julian days"
+    )
+
+
+def _angles(text):
+    """Right ascension and declination of one cell, without the marks of sun and moon before it."""
+    parts = re.sub(r"^[^\d+-]+", "", text).split()
+    half = len(parts) // 2
+    return " ".join(parts[:half]), " ".join(parts[half:])
+
+
+def _place(longitude, latitude, distance):
+    """Places x, y, z of angles in degrees and a distance, as texts."""
+    if not (longitude and latitude and distance):
+        return "", "", ""
+    lon, lat, far = math.radians(float(longitude)), math.radians(float(latitude)), float(distance)
+    flat = far * math.cos(lat)
+    return tuple(map(repr, (flat * math.cos(lon), flat * math.sin(lon), far * math.sin(lat))))
