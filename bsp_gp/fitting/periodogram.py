@@ -16,6 +16,9 @@ ROUNDING = 1e-9
 """Chi-squared that rounding may make of the straight track that no force foresees."""
 FEWEST_TURNS = 1.5
 """In the longest track, below which nothing is called a swing."""
+FADING = (0.0, 3.0, 6.0, 12.0)
+"""Times the longest track in decay times of a swing, first none; and SEEN decay times show it."""
+SEEN = 3.0
 OVERTONES = {1: 1.0, 2: 0.5, 3: 0.5}
 """Multiples of a swing's rate, and how many turns a track nearer a push looks like what the swing
 lacks: a change of its size or rate, or of the form of what drives it back."""
@@ -113,21 +116,23 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS):
         return 0.0
     span = longest(found)
     step = float(np.median(np.concatenate([np.diff(times[seen[k], k]) for k in kept])))
-    rates = _rates(span, step)
-    power, whole, count = np.zeros(len(rates)), 0.0, 0
+    rates, whole, count, own = _rates(span, step), 0.0, 0, []
     for k in kept:
         t, x = times[seen[k], k], tracks[seen[k], k]
-        variance = np.full(len(t), sizes[k] ** 2)
-        power += _power(t, x, variance, rates)
+        own.append((t, x, np.full(len(t), sizes[k] ** 2)))
         u = (t - t.mean()) / np.ptp(t)
         left = x - np.polynomial.Polynomial.fit(u, x, 2)(u)
-        whole, count = whole + float(left @ left) / variance[0], count + len(t) - 5
-    best = int(np.argmax(power))
-    # What nobody has explained may be all of what was taken for noise.
-    noise = min((whole - power[best]) / max(count, 1), 1.0)
-    is_shown = power[best] > max(SWINGING * whole, SHOWN * noise, ROUNDING)
-    is_seen = rates[best] * span > 2 * np.pi * turns
-    return float(rates[best]) if is_shown and is_seen else 0.0
+        whole, count = whole + float(left @ left) / sizes[k] ** 2, count + len(t) - 5
+    for fading in FADING:  # what dies away soon has no sharp rate
+        power = sum(_power(*track, rates, fading / span) for track in own)
+        best = int(np.argmax(power))
+        # What nobody has explained may be all of what was taken for noise.
+        noise = min((whole - power[best]) / max(count, 1), 1.0)
+        is_shown = power[best] > max(SWINGING * whole, SHOWN * noise, ROUNDING)
+        shown = span * min(SEEN / fading, 1.0) if fading else span
+        if is_shown and rates[best] * shown > 2 * np.pi * turns:
+            return float(rates[best])
+    return 0.0
 
 
 def _rates(span, step):
@@ -136,18 +141,18 @@ def _rates(span, step):
     return np.linspace(np.pi / span, np.pi / step, max(count, 8))
 
 
-def _power(times, x, variance, rates):
-    """Fall of chi-squared by a sine and a cosine of each rate, beside a parabola."""
+def _power(times, x, variance, rates, fading=0.0):
+    """Fall of chi-squared by a sine and a cosine of each rate, which fade, beside a parabola."""
     weight = 1.0 / np.sqrt(variance)
     u = (times - times.mean()) / np.ptp(times)
     smooth, _ = np.linalg.qr(weight[:, None] * np.stack([np.ones_like(u), u, u * u], axis=1))
     left = weight * x
     left = left - smooth @ (smooth.T @ left)
-    out = np.empty(len(rates))
+    out, envelope = np.empty(len(rates)), weight * np.exp(-fading * (times - times[0]))
     for first in range(0, len(rates), 512):
         block = rates[first : first + 512]
         angle = np.multiply.outer(block, times - times[0])
-        waves = np.stack([np.cos(angle), np.sin(angle)]) * weight
+        waves = np.stack([np.cos(angle), np.sin(angle)]) * envelope
         waves = waves - (waves @ smooth) @ smooth.T
         a, b = waves
         aa, bb, ab = (a * a).sum(1), (b * b).sum(1), (a * b).sum(1)

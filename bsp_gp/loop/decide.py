@@ -14,6 +14,10 @@ SWAMPED = 0.1
 of what no law explains, the motion itself is left."""
 
 
+PLAIN = 0.05
+"""Part of what the base leaves, up to which a uniform push that leaves as much is taken first."""
+
+
 @dataclass(frozen=True)
 class Decision:
     """What follows from a table.
@@ -96,9 +100,26 @@ def decide(table, criteria=None):
         and best.log_posterior - row.log_posterior < criteria.tie_nats
     ]  # fmt: skip
     is_fact = not any(_is_near(row, best, criteria) for row in rivals)
+    weight = _weight_before(best, table)
+    if weight is not None:
+        return Decision("effect adopted", "adopted", weight, True)
     if tied:
         return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
     return Decision("effect adopted", "adopted", best, True, rivals, is_fact)
+
+
+def _weight_before(best, table):
+    """The uniform push that explains nearly all that forces without one do; None without one.
+
+    Everything on Earth has weight. Where that leaves little, another force, or several, that fit
+    the tracks better still are what is asked for beside it, and none of them in its place.
+    """
+    if best.kind not in ("force", "hidden_body") or best.n_pushes:
+        return None
+    return next(
+        (row for row in table.candidates if row.n_pushes == row.n_terms > 0
+         and row.left < PLAIN * table.base.left), None
+    )  # fmt: skip
 
 
 def _unless_swamped(table, decision):

@@ -24,7 +24,7 @@ from bsp_gp.loop.evidence import WEAK, log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, PATIENT, both_of, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.rivals import Explained
-from bsp_gp.loop.slight import without_the_slight
+from bsp_gp.loop.slight import size_left, without_the_slight
 from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
@@ -324,7 +324,7 @@ class _Turn:
         self.near, self.missing = found, 0.0  # where fits begin; chi-squared that is to be gained
         evidence = log_evidence(found, hypothesis, run.criteria)
         base = (found.status, evidence, 0.0, found.log_likelihood, found.n_free)
-        self.rows = [Row(0, "base", "", "", *base)]
+        self.rows = [Row(0, "base", "", "", *base, left=_left_by(found))]
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
         self.levels = np.array(found.noise.levels)  # of the noise by which promises are made
@@ -933,10 +933,22 @@ class _Turn:
                 number, proposal.code, proposal.text, source, status, evidence,
                 proposal.log_prior, log_likelihood, n_free, proposal.kind, held_out,
                 key=twin or proposal.key, ties=() if status == "scored" else proposal.texts_of_ties,
-                is_wide=proposal.is_wide,
+                is_wide=proposal.is_wide, n_terms=len(proposal.formulas),
+                n_pushes=sum(set(formula.inputs) <= UNIFORM for formula in proposal.formulas),
+                left=_left_by(self.fits.get(number)),
             )
         )  # fmt: skip
         return self.rows[-1]
+
+
+UNIFORM = frozenset(("e_x", "e_y", "e_z", "up", "down", "m_i"))
+"""What a uniform push is made of."""
+
+
+def _left_by(found):
+    """Root mean square of what a fit leaves of tracks, m; nan where it has none."""
+    is_told = found is not None and not found.is_failed and found.shows_tracks
+    return size_left(found) if is_told else math.nan
 
 
 def _proposed(shared, number):

@@ -33,8 +33,8 @@ def is_slight(first, done, dataset):
     best = done.decision.best
     if not (done.decision.is_adopted and best.kind in KINDS and first.shows_tracks):
         return False
-    before, after = _size(done.entering), _size(done.fits[best.id])
-    if not (before < LITTLE * _size(first) and after > (1 - TAKEN) * before):
+    before, after = size_left(done.entering), size_left(done.fits[best.id])
+    if not (before < LITTLE * size_left(first) and after > (1 - TAKEN) * before):
         return False
     return after**2 > ALONE * _noise(done.entering, dataset) ** 2
 
@@ -46,7 +46,7 @@ def _noise(found, dataset):
     return 1.0 if found.noise.adding else float(np.sqrt(np.mean(np.square(sigma))))
 
 
-def _size(found):
+def size_left(found):
     """Root mean square of what a fit leaves, m; of sums, of what is left of each, in its error."""
     left = found.whitened if found.noise.adding else found.residual
     return float(np.sqrt(np.nanmean(np.square(left))))

@@ -58,6 +58,10 @@ class Row:
     ties : tuple of str
     is_wide : bool
         Whether other forms are special cases of it.
+    n_pushes, n_terms : int
+        Uniform pushes, as weight is one, among the forces that it adds, and these.
+    left : float, m
+        Root mean square of what its fit leaves; nan where that is not known.
     """
 
     id: int
@@ -76,6 +80,9 @@ class Row:
     key: tuple = ()
     ties: tuple = ()
     is_wide: bool = False
+    n_pushes: int = 0
+    n_terms: int = 0
+    left: float = math.nan
 
     @property
     def log_posterior(self):
