@@ -47,7 +47,7 @@ from bsp_gp.loop.constancy import Constancy, constancy
 from bsp_gp.loop.criteria import VERDICTS, Criteria
 from bsp_gp.loop.foresight import Foresight, is_refuted, that_foresee
 from bsp_gp.loop.kept import rounds_from
-from bsp_gp.loop.kinked import bounce, in_parts, lacks
+from bsp_gp.loop.kinked import bounce, bounce_oddly, in_flights, in_parts, lacks
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.loop.proposal import FAULTS, continued
@@ -147,7 +147,8 @@ def close_loop(
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
     (
         split_rng, round_rng, account_rng, swapped_rng, asked_rng, foresight_rng, parts_rng,
-    ) = generator(rng).spawn(7)  # fmt: skip
+        flights_rng,
+    ) = generator(rng).spawn(8)  # fmt: skip
     crew = Crew(workers, needs=run_rounds)
     says("reading the data set")
     known = {"t", *dataset.logged}
@@ -189,15 +190,26 @@ def close_loop(
     left = None if time_limit is None else time_limit - (time.monotonic() - began)
     until = Clock(None if left is None else left + LATE_S)
     foreseen: dict = {}
-    foresight = Foresight(
-        lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
-        ready.dataset, ready.split.test, foresight_rng.spawn(max_rounds), crew,
-        foreseen,
-    )  # fmt: skip
-    rounds = look(
-        ready, round_rng, begun, on_round=on_round, earlier=earlier,
-        is_refused=foresight.refuses, instead=foresight.instead,
-    )  # fmt: skip
+
+    def first_look(ready, rng, begun, rng_ahead, **more):
+        ahead = Foresight(
+            lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
+            ready.dataset, ready.split.test, rng_ahead.spawn(max_rounds), crew, foreseen,
+        )  # fmt: skip
+        more |= {"is_refused": ahead.refuses, "instead": ahead.instead}
+        return look(ready, rng, begun, **more), ahead
+
+    rounds, foresight = first_look(
+        ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier
+    )
+    flights = None if all_rows or clock.is_over else in_flights(ready.dataset, rounds)
+    if flights is not None:
+        says("following flights from wall to wall")
+        other, rng_split = _Ready(flights, declared, flights_rng), flights_rng.spawn(2)
+        foreseen.clear()
+        found = first_look(other, rng_split[0], other.begin(starts, bounds, clock), rng_split[1])
+        if any(done.decision.is_adopted for done in found[0]):
+            ready, (rounds, foresight) = other, found
     is_cut = False
     if ready.has_more and rounds[0].decision.verdict == "nothing missing":
         # What acts in held-out scenes only would be missed.
@@ -255,8 +267,14 @@ def _in_parts(ready, begun, declared, rng, how, criteria):
     and are found as such. What is kicked at random is taken whole.
     """
     whole = ready, begun
-    if not lacks(begun, ready.noise.sigma) or bounce(ready.dataset):
+    if not lacks(begun, ready.noise.sigma):
         return whole
+    if bounce(ready.dataset):
+        flights = in_flights(ready.dataset) if bounce_oddly(ready.dataset) else None
+        if flights is None:
+            return whole
+        other = _Ready(flights, declared, rng)
+        return other, other.begin(*how)
     dataset = without_hands(ready.dataset, ready.law)
     if dataset is not None:
         ready = _Ready(dataset, declared, rng)

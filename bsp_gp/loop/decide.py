@@ -14,7 +14,7 @@ SWAMPED = 0.1
 of what no law explains, the motion itself is left."""
 
 
-PLAIN = 0.05
+PLAIN = 0.1
 """Part of what the base leaves, up to which a uniform push that leaves as much is taken first."""
 
 
@@ -109,12 +109,13 @@ def decide(table, criteria=None):
 
 
 def _weight_before(best, table):
-    """The uniform push that explains nearly all that forces without one do; None without one.
+    """The uniform push that explains nearly all that others explain; None without one.
 
-    Everything on Earth has weight. Where that leaves little, another force, or several, that fit
-    the tracks better still are what is asked for beside it, and none of them in its place.
+    Everything on Earth has weight. Where that leaves little, another force that fits the tracks
+    better still is what is asked for beside it, and not in its place; nor are sums of several.
     """
-    if best.kind not in ("force", "hidden_body") or best.n_pushes:
+    is_plain = best.n_pushes and best.n_terms - best.n_pushes < 2
+    if best.kind not in ("force", "hidden_body") or is_plain:
         return None
     return next(
         (row for row in table.candidates if row.n_pushes == row.n_terms > 0

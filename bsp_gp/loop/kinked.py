@@ -5,6 +5,7 @@ little, and any smooth force much: each then hides the other. Where a track show
 jumps, whatever the law, its parts are followed each from a state of its own.
 """
 
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -13,13 +14,19 @@ from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK
 from bsp_gp.data.stretches import cut_at, may_be_cut
 from bsp_gp.fitting.fit import MISFIT
+from bsp_gp.fitting.jumps import SIDE_ROWS
 from bsp_gp.fitting.kinks import kinks
-from bsp_gp.loop.proposers.walls import is_foreseen, jumps_in, walls_at
+from bsp_gp.loop.proposers.walls import is_foreseen, jumps_in, levels_of, walls_at
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.units import Unit
 
 VELOCITY, SECOND = Unit.of(m=1, s=-1), Unit.of(s=1)
+LEAST_MORE, ODD = 3, 4.0
+"""Bounces more than there are axes, and errors by which velocities behind them must be off what any
+linear law makes of those before them, for bounces to be odd."""
+LEAST_FLIGHT = 8
+"""Rows of a flight from wall to wall; shorter ones tell little, and are left out."""
 MOST = 4
 """Kinks of a recording, at the most: what is kicked all the time is pushed."""
 
@@ -65,6 +72,59 @@ def in_parts(dataset, found):
 def bounce(dataset):
     """Whether bodies turn back at walls: what they do there is no kick, and no hand's."""
     return bool(walls_at(list(chain(*jumps_in(dataset.scenes))), dataset))
+
+
+def bounce_oddly(dataset):
+    """Whether bodies leave walls with velocities that those they came with surely do not tell."""
+    found = list(chain(*jumps_in(dataset.scenes)))
+    step = min(float(np.median(np.diff(scene.times))) for scene in dataset.scenes)
+    for own in walls_at(found, dataset).values():
+        came, left = np.stack([j.before for j in own]), np.stack([j.after for j in own])
+        n_more = len(own) - came.shape[1]
+        if n_more < LEAST_MORE:
+            continue
+        off = left - came @ np.linalg.lstsq(came, left, rcond=None)[0]
+        error = own[0].error * np.sqrt(12 / SIDE_ROWS[0] ** 3) / step  # of the slope of few rows
+        if np.square(off).sum() > n_more * came.shape[1] * (ODD * error) ** 2:
+            return True
+    return False
+
+
+def in_flights(dataset, rounds=()):
+    """The data set with recordings cut where bodies turn back at walls; None where that is no use.
+
+    A ball that spins, or is not round, turns back in another way each time: no wall foretells its
+    path. What acts on it in between shows all the same.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    rounds : sequence of Round
+        In which all walls were fitted in vain, or were not asked for.
+    """
+    rows = [row for done in rounds for row in done.table.rows]
+    if not may_be_cut(dataset) or any(row.kind == "wall" and row.is_fit for row in rows):
+        return None
+    walls = walls_at(list(chain(*jumps_in(dataset.scenes))), dataset)
+    if not walls:
+        return None
+    levels = tuple(sorted(levels_of(walls).items()))
+    tracks = [(scene.name, k) for scene in dataset.scenes for k in scene.dynamic]
+    found = dict(zip(tracks, jumps_in(dataset.scenes, levels), strict=True))
+    edges = {}
+    for scene in dataset.scenes:
+        times = {jump.time for k in scene.dynamic for jump in found[scene.name, k]}
+        edges[scene.name] = np.unique(np.searchsorted(scene.times, sorted(times))).tolist()
+    count = sum(map(len, edges.values()))
+    note = (
+        f"{CHECK}bodies turn back at a wall, or are hit, {count} time(s), as no wall foretells: "
+        "each flight is followed from a state of its own, and the wall is no part of the law"
+    )
+    cut = cut_at(dataset, {name: own for name, own in edges.items() if own}, note)
+    long = tuple(scene for scene in cut.scenes if len(scene.times) >= LEAST_FLIGHT)
+    names = {scene.name for scene in long}
+    sides = {side: tuple(n for n in getattr(cut, side) if n in names) for side in ("train", "test")}
+    return replace(cut, scenes=long, **sides) if len(long) > 1 else None
 
 
 def lacks(found, levels):

@@ -53,6 +53,22 @@ def test_nothing_is_missing_where_chance_shows_as_much():
     assert decided(row(1), p=0.02, criteria=Criteria(alpha=0.05)).is_adopted
 
 
+def test_weight_comes_before_what_fits_as_well_without_it():
+    base = replace(BASE, left=1.0)
+    weight = row(1, gain=500.0, n_pushes=1, n_terms=1, left=0.04)
+    better = row(2, gain=700.0, n_terms=2, left=0.01)
+    beside = row(3, gain=700.0, n_pushes=1, n_terms=2, left=0.01)
+    several = row(4, gain=700.0, n_pushes=1, n_terms=4, left=0.01)
+    assert decided(weight, better, base=base).best.id == 1
+    assert decided(weight, several, base=base).best.id == 1
+    assert decided(weight, beside, base=base).best.id == 3
+    assert decided(replace(weight, left=0.3), better, base=base).best.id == 2
+    rod = replace(better, code="constraint", kind="constraint")
+    assert decided(weight, rod, base=base).best.id == 2
+    said = decided(weight, better, base=base)
+    assert said.is_adopted and not said.rivals
+
+
 @pytest.mark.parametrize(
     ("p", "noise_p", "verdict"),
     [(0.5, 1.0, "nothing missing"), (1e-6, 1e-6, "the noise is not as assumed")],

@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 import bsp_gp
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.fitting.periodogram import swing_of
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.loop.proposal import continued
 from bsp_gp.loop.proposers.inside import Inside
@@ -164,7 +165,6 @@ def test_bodies_that_swing_at_rates_of_their_own_are_asked_for_a_spring_of_each(
     assert found.noise.levels[0] < 0.25 * 7.1492e7
 
 
-
 def logged_angle(amplitude, rng):
     """A pendulum's angle with rows that are lost, as a sensor logs it."""
     times = np.arange(300) / 20
@@ -220,3 +220,25 @@ def test_a_length_is_no_angle(unit):
         table, units={"length": unit, "time": "s"}, properties={"mass": "1[kg]"}
     )
     assert not any("sin(" in p.text for p in proposed(data).proposals)
+
+
+@pytest.mark.parametrize("fading", [0.5, 2.5])
+def test_a_swing_that_dies_away_soon_is_one(fading):
+    """Within two turns it has lost most of itself, and its line in a periodogram is wide."""
+    t = np.arange(150) / 30
+    rng = np.random.default_rng(2)
+    x, y = (np.exp(-fading * t) * np.cos(12.0 * t + p) for p in (0.0, 1.0))
+    table = pd.DataFrame({"t": t, "x": x, "y": 0.3 * y}) + 2e-3 * rng.standard_normal((150, 3))
+    table["t"] = t
+    data = bsp_gp.Dataset.from_frames(table, units={"length": "m", "time": "s"})
+    found = fit(Hypothesis.from_laws(data, ()), data)
+    assert swing_of(found) == pytest.approx(12.0, rel=0.05)
+    assert proposed(data).proposals
+
+
+def test_what_settles_without_turning_is_no_swing():
+    t = np.arange(150) / 30
+    table = pd.DataFrame({"t": t, "x": np.exp(-3.0 * t), "y": 1 - np.exp(-2.0 * t)})
+    table[["x", "y"]] += 2e-3 * np.random.default_rng(3).standard_normal((150, 2))
+    data = bsp_gp.Dataset.from_frames(table, units={"length": "m", "time": "s"})
+    assert not swing_of(fit(Hypothesis.from_laws(data, ()), data))

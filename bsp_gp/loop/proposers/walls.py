@@ -65,7 +65,7 @@ class Walls:
         known = {(part.axis, part.side) for part in walls_of(view.fit.law)}
         groups = walls_at([jump for own in found.values() for jump in own], view.dataset)
         if groups:  # where a wall stands other bounces show that are not as clear
-            found = _jumps_of(view, _levels(groups))
+            found = _jumps_of(view, levels_of(groups))
             groups = walls_at([jump for own in found.values() for jump in own], view.dataset)
         groups = {key: own for key, own in groups.items() if key not in known}
         most = _unexplained(view, groups) if groups else 0.0
@@ -219,7 +219,7 @@ def _proposals(view, groups, jumps_of, most):
 
 def _resting(dataset, groups):
     """Rows at which bodies lie on walls up to their ends, as parts of a hypothesis."""
-    levels, out = _levels(groups), []
+    levels, out = levels_of(groups), []
     for scene in dataset.scenes:
         for k in scene.dynamic:
             places = scene.positions[:, k]
@@ -234,7 +234,7 @@ def _resting(dataset, groups):
     return out
 
 
-def _levels(groups):
+def levels_of(groups):
     """Where walls stand across their axes, by axis and side."""
     return {key: np.median([jump.place[key[0]] for jump in own]) for key, own in groups.items()}
 
@@ -294,7 +294,7 @@ def _flights(dataset, jumps_of, groups):
     groups : dict of (int, int) to list of Jump
         By axis and side of walls; a body that lies at one is held by it.
     """
-    levels, out = _levels(groups), []
+    levels, out = levels_of(groups), []
     for scene in dataset.scenes:
         for k in scene.dynamic:
             _, v, a = between(scene.times, scene.positions[:, k], jumps_of[scene.name, k])
