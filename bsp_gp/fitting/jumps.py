@@ -88,9 +88,14 @@ def jumps(times, places, levels=None):
 
 
 def scatter(places):
-    """Error of a coordinate (T, d) as neighbouring rows tell it, few jumps aside, m."""
+    """Error of a coordinate (T, d) as neighbouring rows tell it, few jumps aside, m.
+
+    Zero where nothing moves, or is seen at fewer than four rows.
+    """
     places = places[np.isfinite(places).all(axis=1)]
-    moving = np.ptp(places, axis=0) > 0
+    moving = np.ptp(places, axis=0) > 0 if len(places) > 3 else np.zeros(places.shape[1], bool)
+    if not moving.any():
+        return 0.0
     spread = 1.4826 * np.median(np.abs(np.diff(places[:, moving], 3, axis=0)), axis=0)
     extent = float(np.ptp(places, axis=0).max())
     return max(float(np.sqrt(np.mean(np.square(spread)) / 20)), EXACT * extent)

@@ -12,7 +12,7 @@ from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
-from bsp_gp.fitting.jumps import jumps, nodes_between
+from bsp_gp.fitting.jumps import jumps, nodes_between, scatter
 from bsp_gp.fitting.parts.walls import read_wall
 from bsp_gp.fitting.rolling import flow_of, roll
 from bsp_gp.loop.close import close_loop
@@ -352,3 +352,13 @@ def test_a_puck_in_a_box_meets_four_smooth_walls():
     assert report.rounds[0].effect.code == "bounce"
     found = sorted(c.value for c in report.constants if c.name.startswith("h"))
     np.testing.assert_allclose(found, [0.0, 0.0, 0.8, 1.2], atol=3e-3)
+
+
+def test_a_run_in_which_a_body_only_stands_says_nothing_of_walls():
+    """Its places are exact, and no error of a force follows from them."""
+    data = bounces(np.random.default_rng(3), n_scenes=2, n_rows=110, **WALL)
+    still = Scene("still", data.scenes[0].times, np.full((110, 1, 2), 0.5), (Entity("ball"),))
+    data = Dataset("runs", (*data.scenes, still), noise=(0.002, 0.002), units=SI)
+    proposals = Walls().propose(view_of(data, "0 [N] * e_x")).proposals
+    assert proposals and all(np.isfinite(proposal.gain) for proposal in proposals)
+    assert scatter(still.positions[:, 0]) == 0.0

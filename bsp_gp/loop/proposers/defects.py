@@ -168,7 +168,8 @@ class _Chain:
     def __post_init__(self):
         places = self.scene.positions
         low, high = np.nanmin(places, axis=(0, 1)), np.nanmax(places, axis=(0, 1))
-        self.extent = float((high - low).max())
+        # Where nothing moves, noise is all that a scene shows.
+        self.extent = float((high - low).max()) or float(np.max(self.spread))
 
     def windows(self):
         """Single rows, tails and heads of each body; rows of all bodies."""

@@ -299,13 +299,15 @@ def _flights(dataset, jumps_of, groups):
         for k in scene.dynamic:
             _, v, a = between(scene.times, scene.positions[:, k], jumps_of[scene.name, k])
             mass, error = scene.entities[k].mass, scatter(scene.positions[:, k])
+            if not error > 0:
+                continue  # a run in which it only stood
             near = _at_walls(scene.positions[:, k], levels, ERRORS * error)
             told = np.isfinite(a).all(axis=1) & ~near
             mass = mass if math.isfinite(mass) else 1.0
             span = WINDOW * float(np.median(np.diff(scene.times)))
             error *= math.sqrt(720) / span**2  # of a parabola through so many rows
             out.append((v[told], mass * a[told], np.full((told.sum(), 1), mass * error)))
-    return tuple(map(np.concatenate, zip(*out, strict=True)))
+    return tuple(map(np.concatenate, zip(*out, strict=True))) if out else None
 
 
 def _regressed(flights, forms):
