@@ -189,27 +189,28 @@ def close_loop(
         )
     left = None if time_limit is None else time_limit - (time.monotonic() - began)
     until = Clock(None if left is None else left + LATE_S)
-    foreseen: dict = {}
 
     def first_look(ready, rng, begun, rng_ahead, **more):
+        foreseen: dict = {}
         ahead = Foresight(
             lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
             ready.dataset, ready.split.test, rng_ahead.spawn(max_rounds), crew, foreseen,
         )  # fmt: skip
         more |= {"is_refused": ahead.refuses, "instead": ahead.instead}
-        return look(ready, rng, begun, **more), ahead
+        return look(ready, rng, begun, **more), ahead, foreseen
 
-    rounds, foresight = first_look(
+    rounds, foresight, foreseen = first_look(
         ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier
     )
-    flights = None if all_rows or clock.is_over else in_flights(ready.dataset, rounds)
+    flights = None
+    if not (all_rows or clock.is_over) and lacks(rounds[-1].after, ready.noise.sigma):
+        flights = in_flights(ready.dataset, rounds)
     if flights is not None:
         says("following flights from wall to wall")
         other, rng_split = _Ready(flights, declared, flights_rng), flights_rng.spawn(2)
-        foreseen.clear()
         found = first_look(other, rng_split[0], other.begin(starts, bounds, clock), rng_split[1])
         if any(done.decision.is_adopted for done in found[0]):
-            ready, (rounds, foresight) = other, found
+            ready, (rounds, foresight, foreseen) = other, found
     is_cut = False
     if ready.has_more and rounds[0].decision.verdict == "nothing missing":
         # What acts in held-out scenes only would be missed.

@@ -113,9 +113,10 @@ def _weight_before(best, table):
 
     Everything on Earth has weight. Where that leaves little, another force that fits the tracks
     better still is what is asked for beside it, and not in its place; nor are sums of several.
+    Forces between bodies that are seen need no such stand-in.
     """
     is_plain = best.n_pushes and best.n_terms - best.n_pushes < 2
-    if best.kind not in ("force", "hidden_body") or is_plain:
+    if best.kind not in ("force", "hidden_body") or is_plain or best.is_of_pairs:
         return None
     return next(
         (row for row in table.candidates if row.n_pushes == row.n_terms > 0

@@ -935,6 +935,7 @@ class _Turn:
                 key=twin or proposal.key, ties=() if status == "scored" else proposal.texts_of_ties,
                 is_wide=proposal.is_wide, n_terms=len(proposal.formulas),
                 n_pushes=sum(set(formula.inputs) <= UNIFORM for formula in proposal.formulas),
+                is_of_pairs=any(n[-2:] == "_j" for f in proposal.formulas for n in f.inputs),
                 left=_left_by(self.fits.get(number)),
             )
         )  # fmt: skip

@@ -60,6 +60,8 @@ class Row:
         Whether other forms are special cases of it.
     n_pushes, n_terms : int
         Uniform pushes, as weight is one, among the forces that it adds, and these.
+    is_of_pairs : bool
+        Whether it adds a force between bodies.
     left : float, m
         Root mean square of what its fit leaves; nan where that is not known.
     """
@@ -82,6 +84,7 @@ class Row:
     is_wide: bool = False
     n_pushes: int = 0
     n_terms: int = 0
+    is_of_pairs: bool = False
     left: float = math.nan
 
     @property

@@ -63,6 +63,7 @@ def test_weight_comes_before_what_fits_as_well_without_it():
     assert decided(weight, several, base=base).best.id == 1
     assert decided(weight, beside, base=base).best.id == 3
     assert decided(replace(weight, left=0.3), better, base=base).best.id == 2
+    assert decided(weight, replace(better, is_of_pairs=True), base=base).best.id == 2
     rod = replace(better, code="constraint", kind="constraint")
     assert decided(weight, rod, base=base).best.id == 2
     said = decided(weight, better, base=base)
