@@ -66,9 +66,10 @@ _AXIS_WORDS = _set("richtung direction achse axis axe eje asse axial")
 """Beside a symbol: ``x-Richtung``."""
 _MAP_WORDS = _set("northing hochwert")
 _UPRIGHT_WORDS = _set("vertical vertikal vertikale verticale verticali senkrecht senkrechte")
-RADIAL_WORDS = _set("rv mnvel radvel rvel vrad vr radial")
+_RADIAL = _set("rv mnvel radvel rvel vrad")
+RADIAL_WORDS = _RADIAL | {"radial"}
 """Of velocities along the line of sight."""
-_SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v") | RADIAL_WORDS
+_SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v") | _RADIAL
 _ACCELERATION_WORDS = _set(
     "acceleration accelerometer beschleunigung accélération aceleración aceleracion accelerazione"
     " acc accel"
@@ -84,8 +85,9 @@ _DOUBT_WORDS = _ERROR_WORDS | _set(
 )
 """What says how sure or how good a measured place is, or what state a tracker is in."""
 _WHOSE_SPEED_WORDS = _set(
-    "gps ground gnss abs absolute magnitude total norm modulus horizontal vertical x y z 2d 3d m s"
-    " mps ms km h kmh kph cm mm px momentary instantaneous average mean smoothed filtered raw"
+    "gps ground gnss abs absolute magnitude total norm modulus radial horizontal vertical x y z 2d"
+    " 3d m s mps ms km h kmh kph cm mm px momentary instantaneous average mean smoothed filtered"
+    " raw"
 )
 _OTHER_WORDS = _set(
     "gyroscope gyro magnetic field force kraft rotation angular omega winkel angle torque"
@@ -107,8 +109,8 @@ _COUNT_WORDS = _set("nr no number num nummer index idx # id n° nº numéro núm
 _INPUT = re.compile(r"[ab]\d|&[a-z]")
 """Of an interface, as in ``s_A1``, and signs for Greek letters as CASSY writes them, ``&b_A1``."""
 _GLUED = re.compile(
-    r"(t|time|zeit|angle|winkel|theta|phi|alpha)"
-    r"(days?|s|secs?|seconds?|ms|msec|min|minutes|hours|yr|years?|deg|degrees|rad)", re.IGNORECASE
+    r"(t|time|zeit)(days?|secs?|seconds|msec|hours|years?)"
+    r"|(angle|winkel|theta|phi|alpha)(deg|degrees|rad)", re.IGNORECASE
 )  # fmt: skip
 """A name with its unit behind it: ``tdays``, ``Angledeg``."""
 _OFFSET = re.compile(
@@ -118,9 +120,8 @@ _OFFSET = re.compile(
 _ROW_WORDS = _set("iter iteration record row sample point reading zeile messpunkt ligne fila riga")
 _BESIDE_WORDS = _set(
     "temperature temp temperatur température temperatura voltage voltages volt spannung tension"
-    " current"
-    " strom corrente corriente pressure druck pression humidity feuchte luftfeuchte battery akku"
-    " charge brightness intensity helligkeit lumen light licht quality qualität power leistung"
+    " current strom corrente corriente pressure druck pression humidity feuchte luftfeuchte battery"
+    " akku charge brightness intensity helligkeit lumen light licht quality qualität power leistung"
     " energy energie mass masse weight gewicht comment kommentar note bemerkung remark flag status"
     " area size fläche"
 )
@@ -451,7 +452,7 @@ def _split_unit(cell, back, is_track):
         if is_track and (is_turn or (is_far(stem) and is_of_sky(match[2]))):
             return stem, match[2].strip()
     glued = _GLUED.fullmatch(cell) if is_track and cell not in back else None
-    return (glued[1], glued[2]) if glued else (cell, "")
+    return (glued[1] or glued[3], glued[2] or glued[4]) if glued else (cell, "")
 
 
 def _our_name(name):

@@ -96,8 +96,8 @@ def sniff(head, rename, marks, path):
     cells = _header_cells(head[number], delimiter, said)
     cells = _without_idle_end(head, number, delimiter, cells)
     _require_names_of_all(head, number, delimiter, cells, path)
-    n_numbers = sum(map(_is_number, cells))
-    if n_numbers == len([cell for cell in cells if cell]) or 2 * n_numbers > len(cells) > 2:
+    n_numbers, n_filled = sum(map(_is_number, cells)), len(list(filter(None, cells)))
+    if n_numbers and (n_numbers == n_filled or 2 * n_numbers > len(cells) > 2):
         raise DataError(
             f"the first line holds {n_numbers} number(s) where the names of the columns are "
             "expected",

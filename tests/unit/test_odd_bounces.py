@@ -48,7 +48,7 @@ def test_flights_have_no_bounce_in_them():
 
 @pytest.mark.slow
 def test_the_weight_of_a_ball_that_bounces_oddly_is_found():
-    report = close_loop(odd(np.random.default_rng(0)), rng=0, n_bootstrap=0)
-    assert report.law.text.count("e_y") == 1
-    (pull,) = (c.value for c in report.constants if c.unit and abs(c.value) > 1)
-    assert pull == pytest.approx(-9.81, rel=0.01)
+    for seed in range(2):
+        law = close_loop(odd(np.random.default_rng(seed)), rng=0, n_bootstrap=0).law
+        assert law.text().endswith("* e_y")
+        assert list(law.constants.values()) == [pytest.approx(-9.81, rel=0.005)]

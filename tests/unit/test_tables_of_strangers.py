@@ -73,6 +73,14 @@ def test_angles_are_known_by_what_stands_behind_them(tmp_path, header, unit):
     np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], scale * X)
 
 
+@pytest.mark.parametrize("name", ["times", "Tmin", "tmax", "ts"])
+def test_names_that_only_look_glued_have_no_unit(tmp_path, name):
+    lines = [f"t,x,y,{name}", *rows(T, X, X**2, T)]
+    data = load_dataset(written(tmp_path, lines))
+    np.testing.assert_allclose(data.scenes[0].times, T)
+    assert not data.units.declared
+
+
 def test_offsets_on_the_sky_are_places(tmp_path):
     header = "Date\tDeltaR.A.\tDeltaDecl.\tDeltaR.A.Error\tDeltaDecl.Error"
     data = load_dataset(
