@@ -47,7 +47,7 @@ from bsp_gp.loop.constancy import Constancy, constancy
 from bsp_gp.loop.criteria import VERDICTS, Criteria
 from bsp_gp.loop.foresight import Foresight, is_refuted, that_foresee
 from bsp_gp.loop.kept import rounds_from
-from bsp_gp.loop.kinked import bounce, bounce_oddly, in_flights, in_parts, lacks
+from bsp_gp.loop.kinked import bounce, bounce_oddly, in_flights, in_parts, is_astray, lacks
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.loop.proposal import FAULTS, continued
@@ -203,7 +203,7 @@ def close_loop(
         ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier
     )
     flights = None
-    if not (all_rows or clock.is_over) and lacks(rounds[-1].after, ready.noise.sigma):
+    if not (all_rows or clock.is_over) and is_astray(rounds[-1].after, ready.noise.sigma):
         flights = in_flights(ready.dataset, rounds)
     if flights is not None:
         says("following flights from wall to wall")

@@ -116,10 +116,12 @@ def _weight_before(best, table):
     Forces between bodies that are seen need no such stand-in.
     """
     is_plain = best.n_pushes and best.n_terms - best.n_pushes < 2
-    if best.kind not in ("force", "hidden_body") or is_plain or best.is_of_pairs:
+    # A number of a declared law that is another is no force that stands in for one.
+    is_law = best.kind == "hidden_body" or (best.kind == "force" and best.n_terms > 0)
+    if is_plain or not is_law or best.is_of_pairs:
         return None
     return next(
-        (row for row in table.candidates if row.n_pushes == row.n_terms > 0
+        (row for row in table.candidates if row.code == "law" and row.n_pushes == row.n_terms > 0
          and row.left < PLAIN * table.base.left), None
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ from bsp_gp.data.stretches import cut_at, may_be_cut
 from bsp_gp.fitting.fit import MISFIT
 from bsp_gp.fitting.jumps import SIDE_ROWS
 from bsp_gp.fitting.kinks import kinks
-from bsp_gp.loop.proposers.walls import is_foreseen, jumps_in, levels_of, walls_at
+from bsp_gp.loop.proposers.walls import OFF, is_foreseen, jumps_in, levels_of, walls_at
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.units import Unit
@@ -134,6 +134,15 @@ def lacks(found, levels):
     left = found.residual / np.asarray(levels)[found.channels.axis]
     seen = np.isfinite(left)
     return float(np.square(left[seen]).sum()) > MISFIT * max(seen.sum() - found.n_free, 1)
+
+
+def is_astray(found, levels):
+    """Whether half of all rows are off what a law foresees by much more than their noise."""
+    if found.is_failed:
+        return True
+    left = np.abs(found.residual / np.asarray(levels)[found.channels.axis])
+    left = left[:, np.isfinite(left).any(axis=0)]
+    return bool(np.nanmedian(left, axis=0).max(initial=0.0) > OFF)
 
 
 def _unforeseen(scene, k, found):

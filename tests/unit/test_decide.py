@@ -64,6 +64,10 @@ def test_weight_comes_before_what_fits_as_well_without_it():
     assert decided(weight, beside, base=base).best.id == 3
     assert decided(replace(weight, left=0.3), better, base=base).best.id == 2
     assert decided(weight, replace(better, is_of_pairs=True), base=base).best.id == 2
+    number = replace(better, code="number", n_terms=0)
+    assert decided(weight, number, base=base).best.id == 2
+    by_scene = replace(weight, code="law_by_scene")
+    assert decided(by_scene, better, base=base).best.id == 2
     rod = replace(better, code="constraint", kind="constraint")
     assert decided(weight, rod, base=base).best.id == 2
     said = decided(weight, better, base=base)

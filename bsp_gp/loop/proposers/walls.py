@@ -44,7 +44,8 @@ the part of it that errors of the forces may make, as one over so much."""
 SLANTING = 0.05
 """Speed along a wall, in that across it, below which what is kept of it is not asked of jumps."""
 OFF = 3.0
-"""Errors by which half of all rows must be off for one jump alone to be at a wall."""
+"""Errors by which half of all rows must be off for one jump alone to be at a wall, and for flights
+from wall to wall to be followed each by itself where no wall could be fitted."""
 KEPT = (0.05, 1.2)
 """Parts of their speed that bodies may keep."""
 LYING, LEAST_LYING = 4.0, 12
