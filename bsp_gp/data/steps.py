@@ -24,6 +24,9 @@ MOST_APART = 4.0
 """Steps up to which columns of times side by side are one clock, each rounded."""
 MANY = 10
 """Rows from one to another between which steps are told."""
+WORST = 2.0
+"""Steps by which rows that share no time may be off an even clock: a last digit is at most a step
+there, or half of them would be ties."""
 COARSE = 0.02
 """Step between rows, of which a last digit is such a part: less does no harm."""
 
@@ -91,7 +94,9 @@ def with_even_clocks(frame, columns):
     if "entity" in frame.columns or not clocks:
         return frame, ()
     keys = frame["scene"] if "scene" in frame.columns else pd.Series(0, frame.index)
-    is_copy, notes, made = (frame == frame.shift()).all(axis=1), (), []
+    has_ties = any((frame[c].diff() == 0).any() for c in clocks)
+    is_copy = (frame == frame.shift()).all(axis=1) if has_ties else pd.Series(False, frame.index)
+    notes, made = (), []
     for column in clocks:
         out = frame[column].copy()
         for _, part in frame[column].groupby(keys, sort=False):
@@ -136,6 +141,11 @@ def _evened(times):
         return None
     if len(ties) > MOST_TIES * len(v) and ties[0] < LEAST_ROUNDED:
         return None
+    if not len(ties):  # digits take long to be read: most clocks need none
+        off = np.abs(v - np.polynomial.Polynomial.fit(k, v, 1)(k)).max()
+        step = (v[-1] - v[0]) / (k[-1] - k[0])
+        if not COARSE / 4 * step < off < WORST * step:
+            return None
     for digit in _last_digits(v):
         frames = _frames(k, v, digit) if len(ties) else k
         design = np.stack([np.ones(len(k)), frames], axis=1)

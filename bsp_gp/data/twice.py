@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK
 
 AGREE = 5.0
@@ -65,8 +66,8 @@ def without_copies(rows):
     if rows.velocities is not None or not is_copy.any():
         return rows, ()
     lines = rows.lines[is_copy]
-    listed = ", ".join(map(str, lines[:LISTED])) + (" ..." if len(lines) > LISTED else "")
-    note = f"{len(lines)} row(s) say time and place of the row before again: left out ({listed})"
+    told = f"left out (line {listed(lines, LISTED)})"
+    note = f"{len(lines)} row(s) say time and place of the row before again: {told}"
     return _taken(rows, np.flatnonzero(~is_copy)), (CHECK + note,)
 
 
@@ -101,9 +102,9 @@ def measures_at_once(rows):
     places[:, axes] = np.where(several, means, places[:, axes])
     errors[:, axes] = np.where(several, total**-0.5, errors[:, axes])
     lines = rows.lines[~is_new]
-    listed = ", ".join(map(str, lines[:LISTED])) + (" ..." if len(lines) > LISTED else "")
+    told = ", ".join(map(str, lines[:LISTED])) + (" ..." if len(lines) > LISTED else "")
     note = (
-        f"{len(lines)} row(s) are at the time of the row before (line {listed}) and agree with it: "
+        f"{len(lines)} row(s) are at the time of the row before (line {told}) and agree with it: "
         "they are one measure, the mean weighted by their errors"
     )
     return replace(_taken(rows, starts), positions=places, sigma=errors), (note,)

@@ -123,7 +123,9 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS):
         u = (t - t.mean()) / np.ptp(t)
         left = x - np.polynomial.Polynomial.fit(u, x, 2)(u)
         whole, count = whole + float(left @ left) / sizes[k] ** 2, count + len(t) - 5
-    for fading in FADING:  # what dies away soon has no sharp rate
+    every = rates
+    for fading in FADING:  # what dies away soon has no sharp rate: fewer of them show it
+        rates = every[:: max(round(fading), 1)]
         power = sum(_power(*track, rates, fading / span) for track in own)
         best = int(np.argmax(power))
         # What nobody has explained may be all of what was taken for noise.

@@ -264,6 +264,8 @@ def _words(declared):
 def _in_parts(ready, begun, declared, rng, how, criteria):
     """The data set and its first fit, without hands at the ends of recordings, these cut in parts.
 
+    Bodies that bounce as no wall foretells are followed from flight to flight, with no hands.
+
     Where velocities jump, and not where that leaves nothing: then kicks are all that is missing,
     and are found as such. What is kicked at random is taken whole.
     """

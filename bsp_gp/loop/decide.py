@@ -12,8 +12,6 @@ this to be none."""
 SWAMPED = 0.1
 """Size of noise with a memory, in that of the motion, from which it is no noise of a measurement:
 of what no law explains, the motion itself is left."""
-
-
 PLAIN = 0.1
 """Part of what the base leaves, up to which a uniform push that leaves as much is taken first."""
 

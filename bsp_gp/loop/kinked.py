@@ -71,14 +71,18 @@ def in_parts(dataset, found):
 
 def bounce(dataset):
     """Whether bodies turn back at walls: what they do there is no kick, and no hand's."""
-    return bool(walls_at(list(chain(*jumps_in(dataset.scenes))), dataset))
+    return bool(_bounces(dataset))
+
+
+def _bounces(dataset):
+    """Jumps of the velocity at walls, by axis and side."""
+    return walls_at(list(chain(*jumps_in(dataset.scenes))), dataset)
 
 
 def bounce_oddly(dataset):
     """Whether bodies leave walls with velocities that those they came with surely do not tell."""
-    found = list(chain(*jumps_in(dataset.scenes)))
     step = min(float(np.median(np.diff(scene.times))) for scene in dataset.scenes)
-    for own in walls_at(found, dataset).values():
+    for own in _bounces(dataset).values():
         came, left = np.stack([j.before for j in own]), np.stack([j.after for j in own])
         n_more = len(own) - came.shape[1]
         if n_more < LEAST_MORE:
@@ -105,15 +109,13 @@ def in_flights(dataset, rounds=()):
     rows = [row for done in rounds for row in done.table.rows]
     if not may_be_cut(dataset) or any(row.kind == "wall" and row.is_fit for row in rows):
         return None
-    walls = walls_at(list(chain(*jumps_in(dataset.scenes))), dataset)
+    walls = _bounces(dataset)
     if not walls:
         return None
-    levels = tuple(sorted(levels_of(walls).items()))
-    tracks = [(scene.name, k) for scene in dataset.scenes for k in scene.dynamic]
-    found = dict(zip(tracks, jumps_in(dataset.scenes, levels), strict=True))
+    found = iter(jumps_in(dataset.scenes, tuple(sorted(levels_of(walls).items()))))
     edges = {}
     for scene in dataset.scenes:
-        times = {jump.time for k in scene.dynamic for jump in found[scene.name, k]}
+        times = {jump.time for _ in scene.dynamic for jump in next(found)}
         edges[scene.name] = np.unique(np.searchsorted(scene.times, sorted(times))).tolist()
     count = sum(map(len, edges.values()))
     note = (

@@ -76,6 +76,8 @@ MOST_FIRSTS, MOST_SECONDS = 3, 2
 """Laws beside which a second is asked for, where each leaves much, and seconds that are fitted."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
+UNIFORM = frozenset(("e_x", "e_y", "e_z", "up", "down", "m_i"))
+"""What a uniform push is made of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -940,10 +942,6 @@ class _Turn:
             )
         )  # fmt: skip
         return self.rows[-1]
-
-
-UNIFORM = frozenset(("e_x", "e_y", "e_z", "up", "down", "m_i"))
-"""What a uniform push is made of."""
 
 
 def _left_by(found):
