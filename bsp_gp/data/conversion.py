@@ -4,6 +4,7 @@ import re
 import tokenize
 
 from bsp_gp.data.scene import PROPERTY_UNITS
+from bsp_gp.data.words import unit_words
 from bsp_gp.errors import DataError, UnitError
 from bsp_gp.units import (
     ANGLES,
@@ -15,18 +16,7 @@ from bsp_gp.units import (
     parse_unit,
 )
 
-_WORDS = {
-    "m": "meter metern mètre mètres metri metro metros metre metres meters",
-    "cm": "zentimeter centimètre centimètres centimetri centímetros",
-    "mm": "millimeter millimètre millimètres millimetri milímetros",
-    "km": "kilometer kilomètre kilomètres",
-    "s": "sekunde sekunden sek sek. sec sec. secs seconde secondes secondi segundos",
-    "ms": "millisekunde millisekunden msec millisecondes milisegundos",
-    "minute": "minuten", "hour": "stunde stunden heures ore horas std", "day": "tag tage jours",
-    "year": "jahr jahre années ans anni años yrs", "au": "ae ua",
-    "arcsec": "\" ″ '' ” arcsecs",
-}  # fmt: skip
-_WORD_UNITS = {word: unit for unit, words in _WORDS.items() for word in words.split()} | {
+_WORD_UNITS = unit_words() | {
     word: "rad" if size == 1.0 else "deg" for word, size in ANGLES.items()
 }
 """Units as people write them out, in the languages whose headings are known."""
@@ -76,12 +66,17 @@ def ratio_of(one, other):
     return scale / of if is_alike else None
 
 
+def _as_written(text):
+    """A unit that is written out as its symbol; others as they are."""
+    return _WORD_UNITS.get(text.strip().lower(), text)
+
+
 def _scale(text):
     """Value of one `text` in SI with pixels in the place of metres; ``0.17 um`` is one unit."""
     number = _NUMBERED.fullmatch(text)
     factor, rest = (float(number.group(1)), number.group(2)) if number else (1.0, text)
     try:
-        rest = _WORD_UNITS.get(rest.strip().lower(), rest)
+        rest = _as_written(rest)
         factor *= 1e-3 if _MAS.search(rest) else 1.0
         scale, unit = parse_unit(_PIXEL.sub("m", rest))
     except (AssertionError, tokenize.TokenError) as error:  # pint, on "m/" and on "m("
@@ -114,7 +109,7 @@ class Conversion:
 
     def __init__(self, declared, columns, file=None, has_fps=False, by_headings=False):
         columns = set(columns)
-        self.declared = dict(declared)
+        self.declared = {key: _as_written(text) for key, text in declared.items()}
         self.file = file
         unknown = sorted(set(self.declared) - set(KINDS) - columns)
         if unknown:

@@ -6,6 +6,7 @@ belongs to (``Run 1: Time (s)``, ``Time (s) Run #2``) and the body (``star1_x``,
 """
 
 import re
+import unicodedata
 from dataclasses import dataclass, replace
 
 from bsp_gp.data.conversion import is_unit, unit_of
@@ -22,6 +23,7 @@ from bsp_gp.data.polar_words import (
 )
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.data.sky import is_sky
+from bsp_gp.data.words import apart, folded, plain_signs, word_set, words_for
 from bsp_gp.errors import in_python
 from bsp_gp.units import ANGLES, Unit
 
@@ -44,56 +46,46 @@ _AFTER_LAST_MARK = re.compile(_AFTER_MARK.pattern.replace(".+?", ".+", 1))
 """``s_A1 / m``."""
 _SUBSCRIPT = re.compile(r"_\{([^{}]+)\}")
 """``x_{mass A}``, as Tracker and TeX write it."""
-_RUN = (r"(?:run|data ?set|lauf|versuch|messung|durchgang|messreihe|trial|essai|série|prova|serie"
-        r"|ensayo|corrida|latest|latest run)")  # fmt: skip
-_RUN_NAME = re.compile(rf"{_RUN}\s*(?:#|nr\.?|no\.?)?\s*\d+", re.IGNORECASE)
+_RUN = rf"(?:data ?set|latest|latest run|{'|'.join(sorted(words_for('run') - {'take'}))})"
+_RUN_NAME = re.compile(rf"{_RUN}\s*(?:#|nr\.?|no\.?)?\s*\d+")
 _RUN_BEFORE = re.compile(r"([^:\d][^:]*?)\s*:\s*(\S.*)")
-_RUN_AFTER = re.compile(rf"(.*[^\s,;])[\s,;]+({_RUN_NAME.pattern})", re.IGNORECASE)
+_RUN_AFTER = re.compile(
+    rf"(.*[^\s,;(])[\s,;]+\(?({_RUN_NAME.pattern})\)?(\s*[(\[][^)\]]*[)\]])?"
+)
+"""Of headings without capitals and accents."""
 _BODY_BEFORE = re.compile(r"(.*[^\s_.:-])[\s_.:-]+([vs]?[xyz]|t)", re.IGNORECASE)
 _BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECASE)
 
 
-def _set(text):
-    return frozenset(text.split())
-
-
-_TIME_WORDS = _set("time elapsed relative zeit temps tiempo tempo uptime")
-_PLACE_WORDS = _set(
-    "position pos coordinate coord coordinates koordinate ort lage weg location posición"
-    " posizione displacement"
-)
-_AXIS_WORDS = _set("richtung direction achse axis axe eje asse axial")
+_TIME_WORDS, _PLACE_WORDS, _AXIS_WORDS = map(words_for, ("time", "place", "axis"))
 """Beside a symbol: ``x-Richtung``."""
-_MAP_WORDS = _set("northing hochwert")
-_UPRIGHT_WORDS = _set("vertical vertikal vertikale verticale verticali senkrecht senkrechte")
-_RADIAL = _set("rv mnvel radvel rvel vrad")
+_MAP_WORDS = word_set("northing hochwert")
+_UPRIGHT_WORDS = words_for("upright")
+_RADIAL = word_set("rv mnvel radvel rvel vrad")
 RADIAL_WORDS = _RADIAL | {"radial"}
 """Of velocities along the line of sight."""
-_SPEED_WORDS = _set("velocity speed geschwindigkeit vitesse velocidad velocità v") | _RADIAL
-_ACCELERATION_WORDS = _set(
-    "acceleration accelerometer beschleunigung accélération aceleración aceleracion accelerazione"
-    " acc accel"
-)
-_ERROR_WORDS = _set(
+_SPEED_WORDS = words_for("speed") | _RADIAL
+_ACCELERATION_WORDS = words_for("acceleration")
+_ERROR_WORDS = word_set(
     "error err std sd sigma uncertainty accuracy precision fit model residual fehler unsicherheit"
     " genauigkeit likelihood confidence incertitude delta"
 )
-_DOUBT_WORDS = _ERROR_WORDS | _set(
+_DOUBT_WORDS = _ERROR_WORDS | word_set(
     "quality qualität qualité calidad qualità score prob probability visible visibility occluded"
     " flag status valid snr hdop vdop pdop sat sats satellites rssi checksum ecc eccentricity ep"
     " signal raw_mass comment id label lost interpolated cost"
 )
 """What says how sure or how good a measured place is, or what state a tracker is in."""
-_WHOSE_SPEED_WORDS = _set(
+_WHOSE_SPEED_WORDS = word_set(
     "gps ground gnss abs absolute magnitude total norm modulus radial horizontal vertical x y z 2d"
     " 3d m s mps ms km h kmh kph cm mm px momentary instantaneous average mean smoothed filtered"
     " raw"
 )
-_OTHER_WORDS = _set(
+_OTHER_WORDS = word_set(
     "gyroscope gyro magnetic field force kraft rotation angular omega winkel angle torque"
     " drehmoment throttle pwm duty setpoint"
 )
-_TURN_WORDS = _set("orientation quaternion quat rotation attitude angular")
+_TURN_WORDS = word_set("orientation quaternion quat rotation attitude angular")
 """``pose.orientation.x`` is no place."""
 _PLACES = ("x", "y", "z")
 _ERROR_MARK = (
@@ -101,11 +93,9 @@ _ERROR_MARK = (
 )
 _ERROR_OF = re.compile(rf"{_ERROR_MARK}(?:of)?(.*)|(.+?){_ERROR_MARK}")
 """Whose error a heading is, without blanks; ``dx``, ``e_x`` and ``u_x`` are other things too."""
-_ANGLE = re.compile(
-    r"(?:theta|phi|alpha|θ|φ|ϕ|α|angle|winkel|angolo|ángulo|angulo)[\s_-]?(\w*)", re.IGNORECASE
-)
+_ANGLE = re.compile(rf"(?:{'|'.join(sorted(words_for('angle')))})[\s_-]?(\w*)")
 """An angle, and whose it is: ``theta``, ``phi1``, ``angle_upper``."""
-_COUNT_WORDS = _set("nr no number num nummer index idx # id n° nº numéro número numero of the")
+_COUNT_WORDS = word_set("nr no number num nummer index idx # id n° nº numéro número numero of the")
 _INPUT = re.compile(r"[ab]\d|&[a-z]")
 """Of an interface, as in ``s_A1``, and signs for Greek letters as CASSY writes them, ``&b_A1``."""
 _GLUED = re.compile(
@@ -117,8 +107,10 @@ _OFFSET = re.compile(
     r"(?:d|delta|δ|∆|rel)(ra|dec)l?(?:off|offset)?|(ra|dec)l?(?:off|offset|rel)", re.IGNORECASE
 )
 """An offset on the sky: ``DeltaR.A.``, ``dDec``, ``raoff``."""
-_ROW_WORDS = _set("iter iteration record row sample point reading zeile messpunkt ligne fila riga")
-_BESIDE_WORDS = _set(
+_ROW_WORDS = word_set(
+    "iter iteration record row sample point reading zeile messpunkt ligne fila riga"
+)
+_BESIDE_WORDS = word_set(
     "temperature temp temperatur température temperatura voltage voltages volt spannung tension"
     " current strom corrente corriente pressure druck pression humidity feuchte luftfeuchte battery"
     " akku charge brightness intensity helligkeit lumen light licht quality qualität power leistung"
@@ -126,29 +118,29 @@ _BESIDE_WORDS = _set(
     " area size fläche"
 )
 """What is logged beside a motion, and is no place."""
-_PROCESSED_WORDS = _set(
+_PROCESSED_WORDS = word_set(
     "raw smooth smoothed filtered filter pixel pixels px image screen offset min max mean average"
     " center centre target roh geglättet origin scale old new"
 )
 """Of one body's places a second time."""
-_BODY_WORDS = _set(
+_BODY_WORDS = word_set(
     "puck pucks ball balls kugel ball sphere disc disk scheibe glider gleiter bead particle"
     " teilchen name label bodies cell zelle fish fly mouse bird animal tier car ship boat moon"
     " component bob pendulum pendel palla bola balle bille carrito carrello"
 )
 """More words of bodies, where rows at one time need to be told apart."""
-_OF_WORDS = _set("der des of the du de la le del della total totale gesamt") | _BODY_WORDS
+_OF_WORDS = word_set("der des of the du de la le del della total totale gesamt") | _BODY_WORDS
 _PROPERTY_WORDS = {
-    "mass": _set("mass masse masses masa massa gesamtmasse kugelmasse wagenmasse"),
-    "charge": _set("charge ladung carga carica"),
+    "mass": word_set("mass masse masses masa massa gesamtmasse kugelmasse wagenmasse"),
+    "charge": word_set("charge ladung carga carica"),
 }
-_WITH_ITS_UNIT = {"mass": _set("m weight gewicht poids peso"), "charge": _set("q")}
+_WITH_ITS_UNIT = {"mass": word_set("m weight gewicht poids peso"), "charge": word_set("q")}
 """Words that mean that property where a unit of it stands beside them."""
-_OF_LOGGERS = _set(
+_OF_LOGGERS = word_set(
     "filtered smoothed agl msl asl baro barometric gps gnss estimated est approx aprox"
 )
 """Words beside those of a place or a time that change nothing."""
-_CLOCKS = _set("utc utcg utcj gmt tdb tai tt iso lt local cet cest")
+_CLOCKS = word_set("utc utcg utcj gmt tdb tai tt iso lt local cet cest")
 """Of which clock a time is: ``Time (UTCG)``."""
 _CLOCK_UNITS = {
     "ms": "ms", "msec": "ms", "millis": "ms", "millis()": "ms", "milliseconds": "ms",
@@ -157,24 +149,19 @@ _CLOCK_UNITS = {
 """Columns of loggers that are called by their unit alone, and are the time."""
 IGNORE = "ignore"
 _GUESSES = {
-    "t": _set("date datum datetime timestamp zeitpunkt zeitstempel fecha clock uhrzeit utc millis"
-              " epoch time and und et ts gpstime unixtime"),
-    "frame": _set("frame frames bild coords image slice video"),
-    "scene": _set("run trial versuch messung lauf essai prova ensayo experiment experience"
-                  " wurf throw drop shot release flight fall swing attempt recording aufnahme"
-                  " repetition scene szene take durchgang durchlauf messreihe lancer lanzamiento"
-                  " lancio clip video launch toss kick putt pitch serve stroke jump leap dive lap"
-                  " mission session sweep coast descent ascent collision"),
-    "entity": _set("body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet"
-                   " cart wagen track trajectory"),
-    "y": _set("h height höhe hoehe altitude elevation hauteur altura altezza fallhöhe northing"
-              " hochwert"),
-    "x": _PLACE_WORDS | _set("distance dist strecke abstand entfernung auslenkung distanz distanza"
-                             " distancia déplacement desplazamiento spostamento elongation"
-                             " extension s weite wurfweite sprungweite flugweite horizontal"
-                             " downrange horizontale orizzontale waagerecht waagerechte waagrecht"
-                             " waagrechte alcance portée gittata easting rechtswert depth tiefe"
-                             " profondeur profundidad profondità heave surge sway"),
+    "t": words_for("date"),
+    "frame": words_for("frame"),
+    "scene": words_for("run") | word_set(
+        "wurf throw drop shot release flight fall swing attempt recording aufnahme repetition"
+        " scene szene lancer lanzamiento lancio clip video launch toss kick putt pitch serve"
+        " stroke jump leap dive lap mission session sweep coast descent ascent collision"
+    ),
+    "entity": word_set(
+        "body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet cart wagen"
+        " track trajectory"
+    ),
+    "y": words_for("height"),
+    "x": _PLACE_WORDS | words_for("distance"),
 }  # fmt: skip
 """Words that may mean a column of ours where no plainer heading does; counting words may stand
 beside those of scenes, bodies and frames."""
@@ -242,7 +229,7 @@ def is_frame_name(text):
 
 def is_run(text):
     """Whether `text` is the name of a run, such as ``Run #1``."""
-    return _RUN_NAME.fullmatch(text.strip()) is not None
+    return _RUN_NAME.fullmatch(folded(text.strip())) is not None
 
 
 def is_angle(text):
@@ -252,13 +239,13 @@ def is_angle(text):
 
 def is_angle_name(text):
     """Whether a heading speaks of an angle."""
-    return _ANGLE.fullmatch(text.strip()) is not None
+    return _ANGLE.fullmatch(folded(text.strip())) is not None
 
 
 def run_of(title):
     """The run that a title names, itself or at its end as in ``Position, Ch 1, Run #1``; or ""."""
-    match = re.search(rf"(?:^|,\s*)({_RUN_NAME.pattern})\s*$", title, re.IGNORECASE)
-    return match[1] if match else ""
+    match = re.search(rf"(?:^|,\s*)({_RUN_NAME.pattern})\s*$", folded(title))
+    return title[slice(*match.span(1))] if match else ""
 
 
 def is_acceleration(text):
@@ -335,7 +322,7 @@ def is_count(text):
 
 
 def _words(text):
-    return {word.rstrip(".") for word in re.split(r"[\s_\-()\[\]/]+", text.lower())}
+    return {word.rstrip(".") for word in re.split(r"[\s_\-()\[\]/]+", apart(folded(text)))}
 
 
 def has_place(found):
@@ -401,7 +388,8 @@ def is_ignored(text, cells):
 
 def _read(cell, back, is_track, ignored=()):
     """A heading by its own words, without guesses."""
-    run, rest = _run_of(cell) if is_track else ("", cell)
+    plain = plain_signs(cell)
+    run, rest = _run_of(plain) if is_track else ("", plain)
     if cell in back:
         run, rest = "", rest if is_run(run) else cell
     rest = rest if rest in back else _SUBSCRIPT.sub(r" \1", rest)
@@ -420,12 +408,16 @@ def _read(cell, back, is_track, ignored=()):
 
 
 def _run_of(cell):
-    """Run and the rest of ``Run 1: Time (s)`` or ``Time (s) Run #1``."""
+    """Run and the rest of ``Run 1: Time (s)``, ``Time (s) Run #1`` or ``Time Run #1 (s)``."""
+    cell = unicodedata.normalize("NFC", cell)  # as long as it is folded
     match = _RUN_BEFORE.fullmatch(cell)
     if match:
         return match[1], match[2]
-    match = _RUN_AFTER.fullmatch(cell)
-    return (match[2], match[1]) if match else ("", cell)
+    match = _RUN_AFTER.fullmatch(folded(cell))
+    if not match:
+        return "", cell
+    before, run, unit = (cell[slice(*match.span(k))] for k in (1, 2, 3))
+    return run, before + unit
 
 
 def _split_unit(cell, back, is_track):
@@ -460,7 +452,7 @@ def _our_name(name):
     lower = name.lower()
     if lower in NUMBER_COLUMNS + TEXT_COLUMNS:
         return lower, LITERAL
-    words = re.split(r"[\s_.-]+", lower)
+    words = re.split(r"[\s_.-]+", apart(folded(name)))
     symbols = [word for word in words if word in ("t", "x", "y", "z")]
     about = {word for word in words if word not in symbols}
     is_time = about <= _TIME_WORDS or (symbols == ["t"] and about <= _PLACE_WORDS)
@@ -701,7 +693,7 @@ def _as_angle(heading):
     cut = re.fullmatch(r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)", stem)
     if not unit and cut and is_angle(cut[2]):
         stem, unit = cut[1], cut[2]
-    match = _ANGLE.fullmatch(stem)
+    match = _ANGLE.fullmatch(folded(stem))
     if not match or is_error(match[1]) or (unit and not is_angle(unit)):
         return heading
     return replace(heading, name="x", unit=unit, body=stem, sure=GUESS)

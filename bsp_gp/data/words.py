@@ -1,0 +1,51 @@
+"""Words by which headings of tables mean something, in the languages of ``words.toml``."""
+
+import re
+import tomllib
+import unicodedata
+from importlib.resources import files
+
+_WIDE = str.maketrans("（）［］／：，＃　", "()[]/:,# ")
+"""Signs as East Asian keyboards write them."""
+_EAST = r"[\u2e80-\u30ff\u3400-\u9fff\uac00-\ud7af]"
+_BORDER = re.compile(rf"(?<={_EAST})(?=[A-Za-z0-9])|(?<=[A-Za-z0-9])(?={_EAST})")
+"""Between ``位置`` and ``x``, which nobody sets apart."""
+_LETTERS = ("LATIN", "GREEK", "CYRILLIC")
+
+
+def folded(text):
+    """A text in lower case without the accents of its letters, as long as it was."""
+    return "".join(map(_plain, unicodedata.normalize("NFC", text)))
+
+
+def _plain(letter):
+    first = unicodedata.normalize("NFD", letter.lower())[0]
+    return first if unicodedata.name(first, "").startswith(_LETTERS) else letter.lower()[0]
+
+
+def plain_signs(text):
+    """A text with brackets, slashes and colons as the West writes them."""
+    return text.translate(_WIDE)
+
+
+def apart(text):
+    """A heading with a blank between letters of East Asia and those of ours."""
+    return _BORDER.sub(" ", text)
+
+
+def word_set(text):
+    """The words of a text, folded."""
+    return frozenset(folded(text).split())
+
+
+def words_for(meaning):
+    """All words of a meaning in ``words.toml``, folded."""
+    return word_set(" ".join(_WORDS[meaning].values()))
+
+
+def unit_words():
+    """Unit as people write it out, in lower case -> unit as it is known."""
+    return {word: unit for unit, words in _WORDS["units"].items() for word in words.split()}
+
+
+_WORDS = tomllib.loads(files(__package__).joinpath("words.toml").read_text(encoding="utf-8"))
