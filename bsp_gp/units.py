@@ -130,6 +130,8 @@ def _power_text(name, power):
 DIMENSIONLESS = Unit()
 FORCE = Unit.of(kg=1, m=1, s=-2)
 ACCELERATION = Unit.of(m=1, s=-2)
+GRAVITIES = {"g": 9.80665, "G": 9.80665, "mg": 9.80665e-3}
+"""Units of accelerometers that elsewhere are others, m/s^2."""
 
 
 _OF_THE_SKY = (

@@ -12,6 +12,7 @@ from bsp_gp.data.headings import (
     TEXT_COLUMNS,
     is_acceleration,
     is_angle,
+    is_angle_name,
     is_count,
     is_error,
     is_no_place,
@@ -34,6 +35,8 @@ from bsp_gp.units import ACCELERATION, Unit
 
 TURN = 2.04 * np.pi
 """Over what angles reach at the most that may jump by whole turns, rad: one, and some noise."""
+LEAST_MARKED = 3
+"""Rows at -1 on every axis from which these are a mark."""
 MAX_CELLS = 100_000_000
 
 
@@ -226,7 +229,8 @@ def along_named_axis(table, declaration):
         return table
     (old,), (new,) = own, named
     is_vertical = {"up", "down"} & set(declaration.uses)
-    is_said = {old, f"s{old}"} & {*declaration.columns, *declaration.units}
+    said = {*declaration.units} if old == "z" else {*declaration.columns, *declaration.units}
+    is_said = {old, f"s{old}"} & said
     if is_said or f"v{old}" in table.frame or is_vertical:
         return table
     place = table.theirs.get(old, old)
@@ -263,7 +267,8 @@ def axes_of(table, declaration):
     known = {*NUMBER_COLUMNS, *TEXT_COLUMNS, *WITHIN, *inputs_of(table, declaration)}
     # Who says which column is one of them would say which is the other.
     is_summed = declaration.velocity in SUMS  # all that there is of them
-    is_whole = is_angle(angle) or axes[0] in declaration.columns or is_summed
+    is_turn = is_angle(angle) or is_angle_name(table.theirs.get(axes[0], ""))
+    is_whole = is_turn or axes[0] in declaration.columns or is_summed
     rest = [] if is_whole else [column for column in columns if column not in known]
     doubtful = [column for column in rest if _may_be_place(table, column, axes[0])]
     if doubtful:
@@ -356,12 +361,32 @@ def _without_gaps(table):
     """The table without rows that have a time but no coordinate at all, and a note of them."""
     axes = [axis for axis in "xyz" if axis in table.frame.columns]
     empty = table.frame[axes].isna().all(axis=1).to_numpy()
-    if not empty.any():
+    unseen = _are_marked_unseen(table, axes)
+    if not (empty | unseen).any():
         return table, ()
     if empty.all():
         raise DataError("no row has any coordinates", file=table.file)
-    note = f"{int(empty.sum())} row(s) without coordinates are gaps in the track"
-    return replace(table, frame=table.frame[~empty]), (note,)
+    notes = [f"{int(empty.sum())} row(s) without coordinates are gaps in the track"]
+    notes = notes if empty.any() else []
+    if unseen.any():
+        notes.append(f"{CHECK}{int(unseen.sum())} row(s) at {', '.join(['-1'] * len(axes))} where "
+                     "nothing else is below 0 are gaps in the track")  # fmt: skip
+    return replace(table, frame=table.frame[~(empty | unseen)]), tuple(notes)
+
+
+def _are_marked_unseen(table, axes):
+    """Rows at -1 on every axis, as trackers mark a frame in which they see nothing.
+
+    Pixels count from 0: all else is not below it.
+    """
+    cells = table.frame[axes]
+    none = np.zeros(len(cells), dtype=bool)
+    if len(axes) < 2 or not all(pd.api.types.is_numeric_dtype(cells[axis]) for axis in axes):
+        return none
+    unseen = (cells == -1).all(axis=1).to_numpy()
+    rest = cells[~unseen]
+    is_marked = unseen.sum() >= LEAST_MARKED and rest.notna().any(axis=None)
+    return unseen if is_marked and not (rest < 0).any(axis=None) else none
 
 
 def _numbers(table, column, can_be_blank=False):

@@ -1,6 +1,7 @@
 """Times that are written as dates or as times of the day, in seconds."""
 
 import re
+import time
 
 import numpy as np
 import pandas as pd
@@ -28,13 +29,15 @@ _TURNED = re.compile(r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d\d:\d\d(\.\d+)?")
 _CLOCK = re.compile(r"(\d{1,3}):(\d\d):(\d\d(?:[.,]\d+)?)")
 
 
-EPOCH = (1.0e9, 2.2e9)
-"""Seconds since 1970 of the years 2001 to 2039."""
+EARLIEST, DAY = 1.0e9, 86_400.0
+"""Seconds since 1970 of the year 2001, and of a day."""
 _TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
 def since_1970(times, unit=""):
     """Unix times in seconds since the first of them, and the unit they count; None of others.
+
+    What would be in the future counts from another instant.
 
     Parameters
     ----------
@@ -44,7 +47,7 @@ def since_1970(times, unit=""):
     """
     known = times[np.isfinite(times)]
     for name, ticks in _TICKS.items():
-        low, high = (edge * ticks for edge in EPOCH)
+        low, high = EARLIEST * ticks, (time.time() + DAY) * ticks
         if len(known) and unit in ("", name) and low <= known.min() and known.max() < high:
             return (times - known.min()) / ticks, name
     return None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bsp_gp.data.conversion import KINDS, is_unit
-from bsp_gp.data.headings import ALIASES, NUMBER_COLUMNS, is_angle_name, is_frame_name
+from bsp_gp.data.headings import ALIASES, IGNORE, NUMBER_COLUMNS, is_angle_name, is_frame_name
 from bsp_gp.data.scene import Evaluation, LatentDeclaration
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError
@@ -158,6 +158,7 @@ _KEYS = {
     "time": "t", "run": "scene", "trial": "scene", "recording": "scene",
 }  # fmt: skip
 """What users call what a column is."""
+_BODY_ANGLE = re.compile(r"(\w+)_(?:theta|phi|angle)")
 
 
 def _our_keys(columns):
@@ -166,9 +167,10 @@ def _our_keys(columns):
         _KEYS[key] if key in _KEYS and _KEYS[key] not in columns else key: theirs
         for key, theirs in columns.items()
     }
-    angles = [key for key in columns if is_angle_name(key)]
+    angles = [k for k, theirs in columns.items() if is_angle_name(k) and theirs != IGNORE]
     if {"x", "y", "r", "distance", "separation"} & set(columns):
         return columns
+    columns = {_BODY_ANGLE.sub(r"\1_x", key): theirs for key, theirs in columns.items()}
     own = {key: f"{key}_x" for key in angles} if len(angles) > 1 else dict.fromkeys(angles, "x")
     return {own.get(key, key): theirs for key, theirs in columns.items()}
 

@@ -32,7 +32,7 @@ from bsp_gp.data.sniffing import DELIMITER_NAMES, sniff, split_line
 from bsp_gp.data.sources import open_source
 from bsp_gp.data.steps import with_even_clocks, with_sums_of_steps
 from bsp_gp.data.untimed import COUNTED, rows_as_frames
-from bsp_gp.data.wide import groups_of, stack
+from bsp_gp.data.wide import as_recordings, groups_of, stack
 from bsp_gp.errors import DataError
 
 _NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "-", "–", "--", "---"]
@@ -162,6 +162,8 @@ def long_table(
         clocks = [k for k, name in enumerate(names) if name == "t"]
         frame, even = with_even_clocks(frame, clocks)
         notes = (*notes, *even)
+        if any(h.body for h in found):  # and no title above says whose they are
+            groups = as_recordings(frame, groups)
         used = {k for group in groups for k in group.columns.values()}
         rest = [h for k, h in enumerate(found) if k not in used or h.sure == UNKNOWN]
         frame = stack(frame, groups, file)
@@ -183,6 +185,8 @@ def long_table(
     run = run_of(title)
     if run and "scene" not in is_named:
         frame, title = frame.assign(scene=run), ""
+    frame, apart = _without_untracked(frame, found)
+    notes = (*notes, *apart)
     for column in (c for c in TEXT_COLUMNS if c in frame.columns):
         frame[column] = frame[column].map(plain_cell)
     of_names = {n: u for n, u in zip(names, units, strict=True) if u and n in frame.columns}
@@ -235,6 +239,18 @@ def _with_bodies(frame, found):
     frame = frame.rename(columns={heading.name: "entity"})
     new = [replace(h, name="entity", sure=GUESS) if h is heading else h for h in found]
     return frame, new
+
+
+def _without_untracked(frame, found):
+    """Rows without those that a tracker has put into no track (``TRACK_ID`` None), and a note."""
+    theirs = [h.theirs for h in found if h.name == "entity" and h.sure != UNKNOWN]
+    if "entity" not in frame or not any(re.fullmatch(r"(?i)track[\s_]?id", t) for t in theirs):
+        return frame, ()
+    is_none = frame["entity"].astype(str).str.strip().str.lower().isin(("none", ""))
+    if not is_none.any() or is_none.all():
+        return frame, ()
+    note = f"{theirs[0]} is None in {int(is_none.sum())} row(s), which are of no track: left out"
+    return frame[~is_none], (note,)
 
 
 def _names_bodies(heading, frame):
@@ -372,7 +388,8 @@ def _parse_slowly(source, options, numeric, names):
     decimal_comma = "," if options["sep"] != "," else None
     frame = pd.read_csv(source.for_pandas, dtype=str, **options)
     for column in numeric:
-        cells = frame[column].where(~frame[column].str.strip().isin(_NO_NUMBER))
+        cells = frame[column].str.replace("\u2212", "-", regex=False)  # a minus of typesetters
+        cells = cells.where(~cells.str.strip().isin(_NO_NUMBER))
         if names[column] == "t" and seconds_of(cells) is not None:
             frame[column] = cells
             continue

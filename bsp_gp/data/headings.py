@@ -25,7 +25,7 @@ from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.data.sky import is_sky
 from bsp_gp.data.words import apart, folded, plain_signs, word_set, words_for
 from bsp_gp.errors import in_python
-from bsp_gp.units import ANGLES, Unit
+from bsp_gp.units import ACCELERATION, ANGLES, GRAVITIES, Unit
 
 NUMBER_COLUMNS = (
     "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz", "svx", "svy", "svz",
@@ -34,16 +34,21 @@ TEXT_COLUMNS = ("scene", "entity")
 ALIASES = {
     "particle": "entity", "object": "entity", "track": "entity", "ra": "ra", "dec": "dec",
     "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "declination": "dec", "epoch": "t",
-    "jdtdb": "t", "x_value": "t",
+    "jdtdb": "t", "jd_tdb": "t", "x_value": "t",
     **POLAR_ALIASES,
 }  # fmt: skip
 LITERAL, WORD, GUESS, UNKNOWN = range(4)
 """How sure the meaning of a heading is."""
-_WITH_UNIT = re.compile(r"(.*?)\s*[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
+_WITH_UNIT = re.compile(
+    r"(.*?)\s*[(\[{<]\s*(?:in\s+|en\s+)?([^()\[\]{}<>]*?)(?:[\s-]+(?:agl|asl|amsl|msl))?\s*[)\]}>]",
+    re.IGNORECASE,
+)
+"""``Zeit (in s)``, ``Altitude (ft-AGL)``."""
 _AFTER_MARK = re.compile(r"(.+?)(?:\s*[/,]\s*|\s+(?:in|-|–)\s+|_)[(\[]?([^()\[\]_]+)[)\]]?")
 """``t / s``, ``t in s``, ``t - s``, ``t, s``, ``t_s``, ``v / (m/s)``: then comes a unit."""
 _AFTER_LAST_MARK = re.compile(_AFTER_MARK.pattern.replace(".+?", ".+", 1))
 """``s_A1 / m``."""
+_PATH = re.compile(r"[a-zA-Z]\w{2,}(?:\.[a-zA-Z]\w{2,})+")
 _SUBSCRIPT = re.compile(r"_\{([^{}]+)\}")
 """``x_{mass A}``, as Tracker and TeX write it."""
 _RUN = rf"(?:data ?set|latest|latest run|{'|'.join(sorted(words_for('run') - {'take'}))})"
@@ -54,6 +59,8 @@ _RUN_AFTER = re.compile(
 )
 """Of headings without capitals and accents."""
 _BODY_BEFORE = re.compile(r"(.*[^\s_.:-])[\s_.:-]+([vs]?[xyz]|t)", re.IGNORECASE)
+_LABELLED = re.compile(r"(.+?)[\s_.:-]+([xyz])[\s_.-]+([^\W\d]+)", re.IGNORECASE)
+"""A body, its axis, and what of it: ``Objekt 1 x-Koordinate``."""
 _BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECASE)
 
 
@@ -148,6 +155,8 @@ _CLOCK_UNITS = {
 }  # fmt: skip
 """Columns of loggers that are called by their unit alone, and are the time."""
 IGNORE = "ignore"
+BY_WORDS = "columns read by their words"
+"""How a note of guesses begins."""
 _GUESSES = {
     "t": words_for("date"),
     "frame": words_for("frame"),
@@ -353,11 +362,25 @@ def headings(cells, rename=None, *, is_track=True):
     back = _of_every_run(back) if is_track else back
     found = [_read(cell, back, is_track, ignored) for cell in cells]
     if is_track:
+        found = _without_sensors(found)
         found = _with_angles(_with_polar_errors(_turned(_with_bodies(found))))
         found = _with_dates(found)
         found = [_guessed(h, {f.name for f in found}) for h in found]
         found = _with_errors(_with_clock(found))
     return tuple(_settled(found))
+
+
+def _without_sensors(found):
+    """Beside a place by its words, ``X [g], Y [g], Z [g]`` are an accelerometer's."""
+    own = [h for h in found if h.name in _PLACES and h.unit and not h.is_renamed]
+    units = {"m/s^2" if h.unit in GRAVITIES else h.unit for h in own}
+    is_sensor = len(own) > 1 and len(units) == 1 and unit_of(*units) == ACCELERATION
+    if not is_sensor or len(own) < sum(h.name in _PLACES for h in found):
+        return found
+    if not any(h.sure == UNKNOWN and _guess(h.name) in ("x", "y") and h.unit
+               and unit_of(h.unit) == _LENGTH for h in found):  # fmt: skip
+        return found
+    return [replace(h, name=h.theirs, sure=UNKNOWN) if h in own else h for h in found]
 
 
 def _of_every_run(back):
@@ -369,7 +392,8 @@ def _of_every_run(back):
 
 def _with_clock(found):
     """The only column with a unit of time as the time, where there is no other."""
-    clocks = [h for h in found if h.sure == UNKNOWN and h.unit and unit_of(h.unit) == _TIME]
+    clocks = [h for h in found if h.sure == UNKNOWN and not h.ignored
+              and h.unit and unit_of(h.unit) == _TIME]
     if len(clocks) != 1 or any(h.name in ("t", "frame") for h in found):
         return found
     return [replace(h, name="t", sure=GUESS) if h is clocks[0] else h for h in found]
@@ -471,7 +495,7 @@ def _our_name(name):
 
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
-    words = {word for word in _words(name) - {""} if not _INPUT.fullmatch(word)}
+    words = {word for word in _words(_last_of(name)) - {""} if not _INPUT.fullmatch(word)}
     if any(len(word) > 1 for word in words - _OF_LOGGERS):
         words -= _OF_LOGGERS
     if words & _UPRIGHT_WORDS and words - _UPRIGHT_WORDS <= _PLACE_WORDS:
@@ -481,6 +505,11 @@ def _guess(name):
         if counted and counted <= known:
             return ours
     return None
+
+
+def _last_of(name):
+    """What a path of names ends with: ``altitude`` of ``gps_data.altitude``."""
+    return name.rpartition(".")[2] if _PATH.fullmatch(name) else name
 
 
 def _turned(found):
@@ -672,7 +701,19 @@ def _with_angles(found):
         return found
     if len(bodies) == 1:
         return [replace(h, body="") if h.body in bodies else h for h in out]
-    return out
+    return _with_clocks_of_angles(out, bodies)
+
+
+def _with_clocks_of_angles(found, bodies):
+    """``t1, theta1, t2, theta2`` as bodies that have each its clock."""
+    own = {f"t{number[0]}": body for body in bodies if (number := re.findall(r"\d+$", body))}
+    clocks = [h for h in found if h.sure == UNKNOWN and h.name.lower() in own]
+    if len(clocks) < len(bodies) or len(own) < len(bodies) or any(h.name == "t" for h in found):
+        return found
+    return [
+        replace(h, name="t", body=own[h.name.lower()], sure=GUESS) if h in clocks else h
+        for h in found
+    ]  # fmt: skip
 
 
 def _with_only_angle(found):
@@ -705,17 +746,28 @@ def _of_body(heading):
     text, unit = heading.name, heading.unit
     if not unit and (cut := re.fullmatch(r"(.+)_([^_]+)", text)) and unit_of(cut[2]) == _LENGTH:
         text, unit = cut[1], cut[2]
+    text = _without_place_words(text)
     before, after = _BODY_BEFORE.fullmatch(text), _BODY_AFTER.fullmatch(text)
     axis, body = (before[2], before[1]) if before else ("", "")
     if after and not before:
         axis, body = after[1], after[2] or after[3]
     is_length = not unit or unit_of(unit) == _UNIT_OF[axis.lower()] if axis else False
     # Beside a unit a name is none itself: `A_x [AU]` is a star's place; `A_x` is anything.
-    names_unit = not unit and is_unit(body) and not body.isdecimal()
+    names_unit = not (unit or heading.is_renamed or body.isdecimal()) and is_unit(body)
     is_turn = bool({*re.split(r"[\W_]+", body.lower())} & _TURN_WORDS)
     if not body or not is_length or is_error(body) or names_unit or is_turn:
         return heading
     return replace(heading, name=axis.lower(), unit=unit, body=body, sure=GUESS)
+
+
+def _without_place_words(text):
+    """``Objekt 1 x-Koordinate`` as ``Objekt 1 x``, and ``ball x velocity`` as ``ball vx``."""
+    match = _LABELLED.fullmatch(text)
+    if not match or not re.search(r"\w", match[1]):
+        return text
+    word = folded(match[3])
+    mark = "" if word in _PLACE_WORDS else "v" if word in _SPEED_WORDS else None
+    return text if mark is None else f"{match[1]} {mark}{match[2]}"
 
 
 def _settled(found):
@@ -736,10 +788,25 @@ def _settled(found):
         if is_it and h.sure == WORD:
             is_it = h.theirs.lower() == alike[0]
         elif is_it and h.sure == GUESS:
-            is_it = len(set(alike)) == 1
+            is_it = len(set(alike)) == 1 or _is_in_first_unit(h, found)
+            if not is_it and _is_in_first_unit(next(f for f in found if _is_like(f, h)), found):
+                h = replace(h, name="", ignored=h.theirs)  # the same once more
+                is_it = True
         if h.run and h.sure == UNKNOWN:
             is_it = h.name.isidentifier()  # a log of that run
         yield h if is_it else replace(h, name=h.stem, sure=UNKNOWN, run="", body="")
+
+
+def _is_like(one, other):
+    return (one.owner, one.name, one.sure) == (other.owner, other.name, other.sure)
+
+
+def _is_in_first_unit(heading, found):
+    """Whether columns that may be the same are one in several units, and this is the first."""
+    own = [h for h in found if _is_like(h, heading)]
+    units = {unit_of(h.unit) if h.unit else None for h in own}
+    is_one = len({folded(h.stem) for h in own}) == 1 and len(units) == 1 and None not in units
+    return is_one and own[0] is heading
 
 
 def told(found):
@@ -759,6 +826,6 @@ def told(found):
     names = dict.fromkeys(back.get(h.name, h.name) for h in guesses if not h.body)
     options = " ".join(f"{name}=NAME" for name in names) or "BODY_x=NAME BODY_y=NAME"
     return in_python(
-        f"columns read by their words: {listed}; if one is not that, say which is: --columns "
+        f"{BY_WORDS}: {listed}; if one is not that, say which is: --columns "
         f"{options}"
     )

@@ -44,7 +44,7 @@ def plain_horizons(text, path):
     if not (rows and named):
         return text
     if _RECORD.match(rows[0]):
-        header, cells = list(_VECTORS), _records(rows)
+        header, cells = list(_VECTORS), _records(rows, _unnamed(named))
     elif "," in named[-1]:
         header, cells = _separated(named[-1], rows)
     else:
@@ -58,15 +58,26 @@ def plain_horizons(text, path):
     return "\n".join("\t".join(row) for row in table) + "\n"
 
 
-def _records(rows):
+def _unnamed(lines):
+    """Names of what the lines of a record have, as they stand below ``JDCT`` or ``JDTDB``."""
+    at = next((k for k, line in enumerate(lines) if re.match(r"\s*JD(CT|TDB)\b", line)), None)
+    return [] if at is None else [line.split() for line in lines[at + 1 :]]
+
+
+def _records(rows, unnamed):
     """Cells of a vector table that has several lines for every time."""
-    out = []
+    out, k = [], 0
     for line in rows:
         start = _RECORD.match(line)
         if start:
             out.append({"JDTDB": start[1]})
+            k = 0
         elif out:
-            out[-1].update(_ENTRY.findall(line))
+            found = _ENTRY.findall(line)
+            if not found and k < len(unnamed):
+                found = [*zip(unnamed[k], line.split(), strict=False)]
+            out[-1].update(found)
+            k += 1
     return [[own.get(name, "") for name in _VECTORS] for own in out]
 
 

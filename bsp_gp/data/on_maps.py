@@ -1,9 +1,11 @@
 """Tables that say where on the globe something is, as receivers of satellites write them."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.data.headings import BY_WORDS
 from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.roster import GAP, fail_at, numbers_of
 from bsp_gp.units import parse_unit
@@ -48,7 +50,7 @@ def from_maps(table, declaration):
     scale = parse_unit(length)[0] if length else 1.0
     x, y = (way / scale for way in _in_plane(np.radians(lat), np.radians(lon)))
     height = "y" if table.up == "y" else _of(table, _HEIGHT)
-    names = {latitude: table.unused[latitude], longitude: table.unused[longitude]}
+    names = {name: _theirs(table, name) for name in (latitude, longitude)}
     gone = (*names, height) if height else (*names,)
     places = {"x": x, "y": y} | ({"z": numbers_of(table, height)} if height else {})
     own = {} if length else {"x": "m", "y": "m", "z": table.units.get(height, "m")}
@@ -58,13 +60,13 @@ def from_maps(table, declaration):
     units |= {"t": "s"} if is_timed and not length else {}
     theirs = {**table.theirs, "x": names[longitude], "y": names[latitude]}
     if height:
-        theirs["z"] = table.theirs.get("y") if height == "y" else table.unused[height]
+        theirs["z"] = _theirs(table, height)
     note = "latitude and longitude were read as places east (x) and north (y) of where it begins"
-    is_taken = height and not (length or table.units.get(height))
+    is_taken = height and not (length or table.units.get(height) or "z" in declaration.units)
     return replace(
         table, frame=table.frame.drop(columns=list(gone)).assign(**places), units=units,
         theirs=theirs, unused={n: t for n, t in table.unused.items() if n not in gone},
-        notes=(*table.notes, f"{note}, in m on the ellipsoid of WGS 84"
+        notes=(*_without_guesses(table.notes, "xy"), f"{note}, in m on the ellipsoid of WGS 84"
                + (f"; {theirs['z']!r} as the height (z)" if height else "")
                + ("; it has no unit and is taken as in m: --units z=ft says another"
                   if is_taken else "")
@@ -72,6 +74,17 @@ def from_maps(table, declaration):
                   if is_timed and not length else "")),
         up="z" if height else None,
     )  # fmt: skip
+
+
+def _without_guesses(notes, axes):
+    """Notes of guessed columns without those that something else is read for."""
+    guesses = [note for note in notes if note.startswith(BY_WORDS)]
+    out = [re.sub(rf"(?:, )?'[^']*' as [{axes}](?=[,;])", "", note) for note in guesses]
+    out = [re.sub(rf" [{axes}]=NAME", "", note).replace(": ,", ":") for note in out]
+    return [
+        *(note for note in notes if note not in guesses),
+        *(note for note in out if f"{BY_WORDS}: ;" not in note),
+    ]
 
 
 def _is_way_gone(table, declaration):
@@ -83,11 +96,16 @@ def _is_way_gone(table, declaration):
 def _of(table, words):
     """The column that is called so, that of satellites before others; "" where there is none."""
     found = []
-    for name, heading in table.unused.items():
-        own = plain_words(heading)
+    said = {name: name for name in map(str, table.frame.columns) if name in table.renamed}
+    for name, heading in {**table.unused, **said}.items():
+        own = plain_words(re.sub(r"^.*\w{3}\.(?=\w{3})", "", heading))  # a path of names
         if name in table.frame and own & words and own <= words | _WITH:
             found.append((not own & {"gps", "gnss"}, name))
     return min(found)[1] if found else ""
+
+
+def _theirs(table, name):
+    return table.theirs.get(name) or table.unused.get(name, name)
 
 
 def _in_plane(lat, lon):

@@ -3,12 +3,14 @@
 Layouts are those of the programs' own documentation: the TRC files of Motion Analysis and OpenSim,
 the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
 loggers, LabVIEW's measurement files, the texts of Leybold's CASSY Lab, measures of double stars as
-the US Naval Observatory mails them, and tables of JPL Horizons (`bsp_gp.data.horizons`).
+the US Naval Observatory mails them, sentences of NMEA 0183 (`bsp_gp.data.gps`), and tables of JPL
+Horizons (`bsp_gp.data.horizons`).
 """
 
 import csv
 import re
 
+from bsp_gp.data.gps import NMEA, of_nmea
 from bsp_gp.data.horizons import plain_horizons
 from bsp_gp.errors import DataError
 
@@ -103,7 +105,10 @@ def _vicon(text, path):
 
 def _qualisys(text, path):
     lines = text.splitlines()
-    start = next(k for k, line in enumerate(lines) if line.startswith("MARKER_NAMES"))
+    start = next((k for k, line in enumerate(lines) if line.startswith("MARKER_NAMES")), None)
+    if start is None:  # what was computed of markers, below its own names
+        blank = next(k for k, line in enumerate(lines) if not line.strip())
+        return "\n".join([*lines[blank + 1 :], ""])
     about = dict(cells for line in lines[:start] if len(cells := line.split("\t")[:2]) == 2)
     names = [name for name in _cells(lines[start], "\t")[1:] if name]
     rows = [_cells(line, "\t") for line in lines[start + 1 :] if line.strip(" ")]
@@ -113,6 +118,8 @@ def _qualisys(text, path):
     # Above them are the headings, or what else is said of every marker.
     header = rows[first - 1] if first and len(rows[first - 1]) >= 3 * len(names) else []
     rows = rows[first:]
+    while header and not header[-1]:  # rows end with a tab
+        header = header[:-1]
     before = len(header or rows[0]) - 3 * len(names)
     rate = float(about["FREQUENCY"])
     at = header.index("Time") if "Time" in header else None
@@ -225,7 +232,7 @@ _KNOWN = {
     "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
     "NO_OF_FRAMES": _qualisys, "FILE_VERSION": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy,
     "LabVIEW Measurement": _labview, "USNO Double Star": _washington,
-    'comment,"OptiTrack Export': _tracking_tools,
+    'comment,"OptiTrack Export': _tracking_tools, **dict.fromkeys(NMEA, of_nmea),
     **dict.fromkeys(
         ("API", "Ephemeris", "JPL", "{", "*" * 10, "@ " + "*" * 8, "# " + "*" * 8), plain_horizons
     ),

@@ -24,14 +24,12 @@ from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import SUMS
 from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, summed
 from bsp_gp.errors import DataError
-from bsp_gp.units import ACCELERATION, Unit, parse_unit
+from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
 _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
 _WHOLE = frozenset("absolute absolut abs magnitude betrag total norm".split())
 PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
-GRAVITIES = {"g": 9.80665, "G": 9.80665, "mg": 9.80665e-3}
-"""Units of accelerometers that elsewhere are others, m/s^2."""
 DATES = (YEARS, JULIAN, (4.0e4, 7.0e4))
 """Numbers that are dates: years, Julian dates, modified ones."""
 LONE = 0.1

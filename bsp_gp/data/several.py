@@ -6,8 +6,10 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from bsp_gp.data.folder import ENTITIES, TRAJECTORIES
-from bsp_gp.data.scene import Dataset
+from bsp_gp.data.scene import CHECK, Dataset
 from bsp_gp.errors import DataError
 
 TABLES = (".csv", ".txt", ".tsv", ".dat", ".trk", ".parquet", ".pq", ".jsonl", ".ndjson")
@@ -64,6 +66,9 @@ def joined(datasets, paths):
     for dataset, path in zip(datasets[1:], paths[1:], strict=True):
         _require_alike(first, dataset, paths[0], path)
     stems = [Path(path).stem for path in paths]
+    bodies = _bodies_of(datasets, stems)
+    if bodies:
+        return _side_by_side(datasets, bodies, paths)
     if len(set(stems)) < len(stems):
         stems = [f"{Path(path).resolve().parent.name} {Path(path).stem}" for path in paths]
     names = [[scene.name for scene in d.scenes] if len(d.scenes) > 1 else [stem]
@@ -94,6 +99,54 @@ def joined(datasets, paths):
         first.noise_memory, {k: v for d in reversed(datasets) for k, v in d.logged.items()},
         any(d.is_film for d in datasets),
     )  # fmt: skip
+
+
+def _bodies_of(datasets, stems):
+    """Names of the bodies of one recording that some files hold, one each; () where they do not.
+
+    Tracker writes a file for every mass: its name says so, or its title, and all have one clock.
+    """
+    scenes = [dataset.scenes[0] for dataset in datasets]
+    is_lone = all(len(d.scenes) == 1 and len(d.scenes[0].entities) == 1 for d in datasets)
+    if len(datasets) < 2 or not is_lone:
+        return ()
+    times = scenes[0].times
+    step = float(np.median(np.diff(times)))
+    is_one_clock = all(
+        len(s.times) == len(times) and np.abs(s.times - times).max() < SAME_CLOCK * step
+        for s in scenes
+    )
+    is_plain = not any(s.inputs or s.logs or s.first or s.velocities is not None for s in scenes)
+    for names in ([s.names[0] for s in scenes], stems):
+        if len(set(names)) == len(names) and all(map(_MASS.search, names)):
+            return tuple(names) if is_one_clock and is_plain else ()
+    return ()
+
+
+_MASS = re.compile(r"(?:^|[\W_])(?:mass|masse|masa|massa)[\W_]*\w{1,2}(?:$|[\W_])", re.IGNORECASE)
+"""``mass_A``, ``masse 1``, as Tracker calls them in its languages."""
+SAME_CLOCK = 0.01
+"""Part of a step up to which times are the same."""
+
+
+def _side_by_side(datasets, names, paths):
+    """One data set of files that hold a body each of one recording."""
+    first, scenes = datasets[0], [dataset.scenes[0] for dataset in datasets]
+    entities = tuple(
+        replace(scene.entities[0], name=name) for scene, name in zip(scenes, names, strict=True)
+    )
+    sigma = [s.sigma for s in scenes]
+    scene = replace(
+        scenes[0], name=name_of_several(paths), entities=entities,
+        positions=np.concatenate([s.positions for s in scenes], axis=1),
+        sigma=None if any(s is None for s in sigma) else np.concatenate(sigma, axis=1),
+    )  # fmt: skip
+    told = dict.fromkeys(note for dataset in datasets for note in dataset.notes)
+    note = (
+        f"{CHECK}files of one clock that are called after masses are bodies of one recording: "
+        f"{', '.join(names)}; where they are recordings, call them otherwise"
+    )
+    return replace(first, name=scene.name, scenes=(scene,), notes=(*told, note))
 
 
 def _require_alike(first, other, path, file):

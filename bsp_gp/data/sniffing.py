@@ -200,7 +200,7 @@ def _remedy_of_numbers(cells):
             "there are in a second: --columns x=1 --fps 25 (of speeds, vx=1)"
         )
     remedy = "add a header such as t,x,y, or say which column is which by its number: "
-    by_number = "--columns t=1 x=2"
+    by_number = "--columns t=1 x=2 (t=2 x=3 where the first counts rows or bodies)"
     if _are_places(cells):
         by_number += ", if that line is a row; if it numbers the columns itself, --columns t=0 x=1"
     return remedy + by_number
@@ -347,7 +347,7 @@ def _is_unit_row(row, names, is_marked=False):
 
 def _is_number(text):
     try:
-        float(text.replace(",", "."))
+        float(text.replace(",", ".").replace("\u2212", "-"))
     except ValueError:
         return False
     return True

@@ -9,9 +9,11 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from bsp_gp.data import arrays, gps
 from bsp_gp.data.preambles import HEADS, without_preamble
 from bsp_gp.data.records import ENDINGS as RECORDS
 from bsp_gp.data.records import as_table
+from bsp_gp.data.words import n_known_words
 from bsp_gp.errors import DataError, MissingDependencyError
 
 MAX_BYTES = 4 * 2**30
@@ -28,6 +30,9 @@ _OWN_FORMATS = {
     ".phyphox": "an experiment of phyphox; there, choose Export Data > CSV",
 }
 """What other programs keep for themselves, and how to get a table out of them."""
+_ENCODINGS = ("cp1252", "cp1250", "cp1251", "gb18030", "big5", "shift_jis", "euc_kr", "cp1253",
+              "mac_roman", "cp437")  # fmt: skip
+_HEAD_BYTES = 1 << 14
 _WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -117,7 +122,15 @@ def open_source(path, names=()):
         )  # fmt: skip
     if path.suffix.lower() in _WORKBOOKS:
         return _workbook(path)
+    if path.suffix.lower() in arrays.ENDINGS:
+        text, notes = arrays.as_table(path)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        return Source(path, digest, _counts(text), text=text, notes=notes)
     source = _text_file(path, names)
+    if path.suffix.lower() in gps.ENDINGS:
+        with source.open() as stream:
+            text = gps.of_xml(stream.read(), path)
+        return replace(source, text=text, counts=_counts(text))
     if path.suffix.lower() in RECORDS or _begins_as_records(source):
         with source.open() as stream:
             text = as_table(stream.read(), path)
@@ -166,10 +179,13 @@ def _text_file(path, names):
     _require_rows(path, counts[b"\n"])
     if bad_line is None:
         return _told_apart(Source(path, digest.hexdigest(), counts), names)
-    if not _is_windows(path):
+    encoding = _encoding_by_words(path) or ("cp1252" if _is_windows(path) else "")
+    if not encoding:
         _fail_encoding(path, bad_line)
-    note = f"{path.name} is not UTF-8: read as Windows-1252, as Excel writes it"
-    return _told_apart(Source(path, digest.hexdigest(), counts, "cp1252", notes=(note,)), names)
+    told = f"{encoding}, by its words"
+    told = "Windows-1252, as Excel writes it" if encoding == "cp1252" else told
+    note = f"{path.name} is not UTF-8: read as {told}"
+    return _told_apart(Source(path, digest.hexdigest(), counts, encoding, notes=(note,)), names)
 
 
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -219,6 +235,34 @@ _HEADER = 60
 
 def _cells_of(line):
     return {cell.strip() for mark in "\t,;" for cell in line.split(mark)}
+
+
+def _encoding_by_words(path):
+    """The encoding in which most words of the first lines are words of headings; "" without any.
+
+    Only letters outside of ASCII tell them apart.
+    """
+    with path.open("rb") as stream:
+        head = b"\n".join(stream.read(_HEAD_BYTES).split(b"\n")[:_HEADER])
+    counts = {}
+    for encoding in _ENCODINGS:
+        try:
+            counts[encoding] = n_known_words(head.decode(encoding))
+        except UnicodeDecodeError:
+            continue
+    best = max(counts, key=counts.get, default="")
+    return best if counts.get(best) and _reads(path, best) else ""
+
+
+def _reads(path, encoding):
+    """Whether a whole file is text in an encoding."""
+    try:
+        with path.open(encoding=encoding) as stream:
+            while stream.read(1 << 22):
+                pass
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _is_windows(path):
@@ -271,13 +315,35 @@ def _workbook(path):
     filled = [title for title, rows in sheets.items() if rows]
     if not filled:
         raise DataError("the workbook is empty", file=path, remedy="a header and rows are needed")
+    alike = _with_one_header(sheets, filled)
+    rows = _below_each_other(sheets, alike) if len(alike) > 1 else sheets[filled[0]]
     out = io.StringIO()
-    csv.writer(out, delimiter="\t", lineterminator="\n").writerows(sheets[filled[0]])
+    csv.writer(out, delimiter="\t", lineterminator="\n").writerows(rows)
     text = out.getvalue()
-    unread = ", ".join(map(repr, filled[1:5]))
-    notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {unread}",) if unread else ()
+    unread = [title for title in filled if title not in (alike or filled[:1])]
+    told = f"{', '.join(map(repr, unread[:8]))}{' ...' if len(unread) > 8 else ''}"
+    notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {told}",) if unread else ()
+    if len(alike) > 1:
+        more = f", not {told}" if unread else ""
+        notes = (f"{len(alike)} sheets of {path.name} with one header are recordings{more}",)
     digest = hashlib.sha256(content).hexdigest()
     return Source(path, digest, _counts(text), text=text, notes=notes)
+
+
+def _with_one_header(sheets, filled):
+    """Names of the sheets whose first rows are names, the same in all; those of the first one."""
+    header = [sheets[title][0] for title in filled]
+    names = [cell for cell in header[0] if cell]
+    is_named = len(names) > 1 and not any(re.fullmatch(r"[-+\d.,eE]+", cell) for cell in names)
+    alike = [title for title, row in zip(filled, header, strict=True) if row == header[0]]
+    has_own = any(cell.strip().lower() in ("scene", "run") for cell in names)
+    return alike if is_named and not has_own else []
+
+
+def _below_each_other(sheets, names):
+    """Rows of several sheets with one header, each a recording that is called like its sheet."""
+    header = sheets[names[0]][0]
+    return [["scene", *header], *([n, *row] for n in names for row in sheets[n][1:])]
 
 
 def _rows(path, cells):

@@ -30,6 +30,10 @@ there, or half of them would be ties."""
 COARSE = 0.02
 """Step between rows, of which a last digit is such a part: less does no harm."""
 
+UNEVEN = 0.1
+"""Part of the rows without times of their own from which a clock may be uneven by as much of a
+step."""
+
 
 def with_sums_of_steps(frame, found):
     """The table with times in the place of steps of time, where it has no other clock.
@@ -153,7 +157,7 @@ def _evened(times):
         off = np.abs(begin + step * frames - v)
         most = (0.5 + 1 / np.sqrt(len(v))) * digit
         if len(ties) and np.ptp(digit):  # lost digits tell more surely than ties what happened
-            most = digit + COARSE * step
+            most = digit + (UNEVEN if len(ties) > UNEVEN * len(v) else COARSE) * step
         if (off <= most).all():
             if off.max() <= COARSE / 4 * step:
                 return None  # as good as they stand

@@ -49,7 +49,7 @@ from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.trk import read_trk
-from bsp_gp.data.twice import by_date, measures_at_once, without_copies
+from bsp_gp.data.twice import by_date, measures_at_once, without_copies, without_slips
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError, UnitError, in_python
 from bsp_gp.output.mark import read_mark
@@ -358,6 +358,7 @@ def _assemble(table, roster, declaration, default_name):
     rows, copied = without_copies(rows)
     rows, put = by_date(rows)
     rows, twice = measures_at_once(rows)
+    rows, slips = without_slips(rows)
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
     scenes = with_primary(scenes, roster) if is_star else scenes
@@ -380,6 +381,7 @@ def _assemble(table, roster, declaration, default_name):
         *copied,
         *put,
         *twice,
+        *slips,
         *apart,
         *still,
         *(roster.notes if roster else ()),
@@ -523,11 +525,12 @@ def _about_unit_of_x(table, units):
 
 def _since_1970(table, units):
     """Unix times, whatever they count, in seconds since the first."""
-    if "t" not in table.frame.columns or table.is_dated or {"t", "time"} & set(units):
+    if "t" not in table.frame.columns or table.is_dated:
         return table
     if not pd.api.types.is_numeric_dtype(table.frame["t"]):
         return table
-    found = since_1970(table.frame["t"].to_numpy(dtype=float), table.units.get("t", ""))
+    said = units.get("t", units.get("time", table.units.get("t", "")))
+    found = since_1970(table.frame["t"].to_numpy(dtype=float), said)
     if found is None:
         return table
     times, unit = found

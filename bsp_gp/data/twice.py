@@ -3,13 +3,20 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
+from bsp_gp.data.extent import JULIAN, YEARS
 from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK
 
 AGREE = 5.0
 """Standard errors of their difference by which measures at one time may differ."""
 LISTED = 8
+MOST_SLIPS = 0.01
+"""Part of the rows of a body whose time may not be after those before."""
+FEW, NEAR = 0.2, 0.25
+"""Part of the rows without errors that may share a date with another, and of the whole way by which
+they may differ."""
 
 
 def by_date(rows):
@@ -71,19 +78,42 @@ def without_copies(rows):
     return _taken(rows, np.flatnonzero(~is_copy)), (CHECK + note,)
 
 
+def without_slips(rows):
+    """Rows without the few whose time is not after all before of their body, and a note of these.
+
+    Clocks of loggers step back at times; what begins anew is another recording, and rows that only
+    share a time were rounded, or are of two bodies.
+    """
+    key = rows.scene * len(rows.entity_names) + rows.entity
+    times = pd.Series(rows.times)
+    before = times.groupby(key).cummax().groupby(key).shift()
+    is_late, goes_back = times <= before, (times < before).groupby(key).transform("any")
+    is_few = is_late.groupby(key).transform("mean") <= MOST_SLIPS
+    is_slip = (is_late & is_few & goes_back).to_numpy()
+    if not is_slip.any():
+        return rows, ()
+    lines = rows.lines[is_slip]
+    told = f"left out (line {listed(lines, LISTED)})"
+    note = f"{len(lines)} row(s) have a time that is not after those before: {told}"
+    return _taken(rows, np.flatnonzero(~is_slip)), (CHECK + note,)
+
+
 def measures_at_once(rows):
     """Rows in which neighbours of one body, scene and time are their mean, weighted by errors.
 
     They must quote errors and agree within these: what does not may be of two bodies, and stays as
-    it is.
+    it is. Of decimal years and Julian dates, which nobody films by, they need no errors where few
+    share a time and lie within a part of the way.
 
     Returns
     -------
     rows : Rows
     notes : tuple of str
     """
-    if rows.sigma is None or rows.velocities is not None or len(rows.times) < 2:
+    if rows.velocities is not None or len(rows.times) < 2:
         return rows, ()
+    if rows.sigma is None:
+        return _observed_at_once(rows)
     again = np.all([np.diff(v) == 0 for v in (rows.scene, rows.entity, rows.times)], axis=0)
     is_new = np.append(True, ~again)
     starts, axes = np.flatnonzero(is_new), np.isfinite(rows.sigma).any(axis=0)
@@ -108,3 +138,26 @@ def measures_at_once(rows):
         "they are one measure, the mean weighted by their errors"
     )
     return replace(_taken(rows, starts), positions=places, sigma=errors), (note,)
+
+
+def _observed_at_once(rows):
+    """Of what is dated, rows in which a few neighbours without errors are their plain mean."""
+    is_dated = any(low <= rows.times.min() and rows.times.max() <= high for low, high in
+                   (YEARS, JULIAN))  # fmt: skip
+    again = np.all([np.diff(v) == 0 for v in (rows.scene, rows.entity, rows.times)], axis=0)
+    if not is_dated or not again.any() or again.sum() > FEW * len(again):
+        return rows, ()
+    starts = np.flatnonzero(np.append(True, ~again))
+    counts = np.diff(np.append(starts, len(rows.times)))
+    way = np.fmax.reduce(rows.positions) - np.fmin.reduce(rows.positions)
+    means = np.array([np.median(own, axis=0) for own in np.split(rows.positions, starts[1:])])
+    off = np.abs(rows.positions - np.repeat(means, counts, axis=0))
+    is_far = (off > NEAR / 2 * way).any(axis=1)
+    if (2 * np.add.reduceat(is_far, starts) >= counts).any():
+        return rows, ()
+    lines = rows.lines[1:][again]
+    note = (
+        f"{len(lines)} row(s) have the date of the row before (line {listed(lines, LISTED)}): "
+        "they are one observation, the median"
+    )
+    return replace(_taken(rows, starts), positions=means), (note,)

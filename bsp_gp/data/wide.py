@@ -1,8 +1,9 @@
 """Tables with runs or bodies side by side: whose the columns are, and one long table of them."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 import pandas as pd
 
 from bsp_gp.data.headings import LITERAL, UNKNOWN, is_run
@@ -127,6 +128,25 @@ def _repeated(found, titles):
         columns[clock] = where[clock][k if own_time else 0]
         groups.append(Group("scene" if is_scene else "entity", label, columns))
     return tuple(groups)
+
+
+def as_recordings(frame, groups):
+    """Groups of bodies as recordings, where each has a clock of its own that is not the others'.
+
+    Clocks that are no more than a step apart, and as long, are one.
+    """
+    clocks = [group.columns.get("t") for group in groups]
+    is_each = len({*clocks}) == len(groups) > 1 and None not in clocks
+    if not is_each or any(g.kind != "entity" or g.run for g in groups):
+        return groups
+    first, *others = (frame[k].dropna().to_numpy() for k in clocks)
+    if any(v.dtype.kind not in "fiu" for v in (first, *others)):
+        return groups
+    step = float(np.median(np.diff(first))) if len(first) > 1 else 0.0
+    is_one = all(
+        len(first) == len(other) and np.abs(first - other).max() <= step for other in others
+    )
+    return groups if is_one else tuple(replace(group, kind="scene") for group in groups)
 
 
 def stack(frame, groups, file):

@@ -43,9 +43,16 @@ def words_for(meaning):
     return word_set(" ".join(_WORDS[meaning].values()))
 
 
+def n_known_words(text):
+    """How many words of a text, of those with letters beyond ASCII, mean something here."""
+    words = re.findall(r"[^\W\d_]+", apart(plain_signs(text)))
+    return sum(folded(word) in _KNOWN for word in words if not word.isascii())
+
+
 def unit_words():
     """Unit as people write it out, in lower case -> unit as it is known."""
     return {word: unit for unit, words in _WORDS["units"].items() for word in words.split()}
 
 
 _WORDS = tomllib.loads(files(__package__).joinpath("words.toml").read_text(encoding="utf-8"))
+_KNOWN = frozenset().union(*map(words_for, _WORDS)) | {folded(word) for word in unit_words()}

@@ -1,0 +1,121 @@
+"""Files of receivers of satellites as plain tables: GPX, TCX, tracks of KML, sentences of NMEA.
+
+Elements are those of the published schemas (GPX 1.1 of Topografix, TrainingCenterDatabase v2 of
+Garmin, ``gx:Track`` of KML). Every unbroken piece of a track is a run where there are several.
+"""
+
+import re
+from datetime import UTC, datetime
+from xml.etree import ElementTree
+
+from bsp_gp.errors import DataError
+
+ENDINGS = (".gpx", ".tcx", ".kml")
+NMEA = ("$GP", "$GN", "$GL", "$GA")
+"""How sentences of receivers begin; other programs may write their own among them."""
+_HEADER = ("run", "t (s)", "latitude", "longitude", "altitude (m)")
+_REMEDY = "export the track with times, as GPX or as a table with times, latitudes and longitudes"
+_SENTENCE = re.compile(r"\$G[PNLA](RMC|GGA|GLL),([^*\n]*)")
+_FIELDS = {"RMC": (0, 2, None), "GGA": (0, 1, 8), "GLL": (4, 0, None)}
+"""Where sentences have the time of the day, the latitude (and the longitude), the altitude."""
+
+
+def of_xml(text, path):
+    """The points of a GPX, TCX or KML file as text with tabs, the header first.
+
+    Raises
+    ------
+    DataError
+        If this is no such XML, declares entities, or no point has a time.
+    """
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise DataError("an XML file with a DOCTYPE is not read", file=path, remedy=_REMEDY)
+    try:
+        root = ElementTree.fromstring(text.lstrip("\ufeff").strip())
+    except ElementTree.ParseError as error:
+        raise DataError(f"this is no XML ({error})", file=path, remedy=_REMEDY) from None
+    pieces = {"trkseg": _gpx, "Track": _kml if _name(root) == "kml" else _tcx}
+    runs = [pieces[_name(e)](e) for e in root.iter() if _name(e) in pieces]
+    runs = [rows for run in runs if (rows := [row for row in run if row[0] and row[1]])]
+    if not runs:
+        raise DataError("no point of a track has a time", file=path, remedy=_REMEDY)
+    return _table([(str(k), *row) for k, run in enumerate(runs, 1) for row in run])
+
+
+def of_nmea(text, path):
+    """The fixes among sentences of NMEA 0183 as text with tabs, the header first.
+
+    Times of the day go on over midnight; sentences of one instant say one place.
+    """
+    fixes, day, last = {}, 0.0, None
+    for kind, body in _SENTENCE.findall(text):
+        cells = body.split(",")
+        at, place, above = _FIELDS[kind]
+        if len(cells) <= max(at, place + 3, above or 0) or not (cells[at] and cells[place]):
+            continue
+        clock = float(cells[at])
+        seconds = clock // 10_000 * 3600 + clock % 10_000 // 100 * 60 + clock % 100
+        day += 86_400.0 if last is not None and seconds < last - 43_200 else 0.0
+        last = seconds
+        lat, north, lon, east = cells[place : place + 4]
+        height = cells[above] if above else ""
+        known = fixes.get(day + seconds)
+        if known is None or height:
+            fixes[day + seconds] = (_degrees(lat, north == "S"), _degrees(lon, east == "W"), height)
+    if not fixes:
+        raise DataError("no sentence has a time and a place", file=path, remedy=_REMEDY)
+    return _table([("1", f"{t:.9g}", *fix) for t, fix in fixes.items()])
+
+
+def _table(rows):
+    """Lines of a table, without runs where there is one, and heights where there are none."""
+    first = 0 if len({row[0] for row in rows}) > 1 else 1
+    stop = len(_HEADER) - (not any(row[-1] for row in rows))
+    return "".join("\t".join(row[first:stop]) + "\n" for row in (_HEADER, *rows))
+
+
+def _name(element):
+    """Of an element, without its namespace."""
+    return str(element.tag).rpartition("}")[2]
+
+
+def _own(element, *names):
+    """The text of the first of what is within that has a name; "" without."""
+    found = (e.text for e in element.iter() if _name(e) in names and e.text)
+    return next(found, "").strip()
+
+
+def _gpx(piece):
+    for point in piece:
+        if _name(point) == "trkpt":
+            time, height = _own(point, "time"), _own(point, "ele")
+            yield _seconds(time), point.get("lat", ""), point.get("lon", ""), height
+
+
+def _tcx(piece):
+    for point in piece:
+        lat, lon = _own(point, "LatitudeDegrees"), _own(point, "LongitudeDegrees")
+        yield _seconds(_own(point, "Time")), lat, lon, _own(point, "AltitudeMeters")
+
+
+def _kml(piece):
+    times = [e.text or "" for e in piece if _name(e) == "when"]
+    places = [(e.text or "").split() for e in piece if _name(e) == "coord"]
+    for time, (lon, lat, *height) in zip(times, filter(None, places), strict=False):
+        yield _seconds(time.strip()), lat, lon, height[0] if height else ""
+
+
+def _seconds(date):
+    """Seconds since 1970 of a date in ISO 8601, as a text; "" of none."""
+    try:
+        found = datetime.fromisoformat(date)
+    except ValueError:
+        return ""
+    return f"{found.replace(tzinfo=found.tzinfo or UTC).timestamp():.3f}"
+
+
+def _degrees(text, is_negative):
+    """Degrees of degrees and minutes, ``4154.930``, as a text."""
+    value = float(text)
+    value = value // 100 + value % 100 / 60
+    return f"{-value if is_negative else value:.9f}"
