@@ -81,6 +81,8 @@ def _is_named_else(theirs, column, unit):
         f(text) for f in (is_count, is_doubt, is_own_speed, is_acceleration, is_angle_name)
         for text in (theirs, column)
     )  # fmt: skip
+    # A program writes the accelerations of its own track beside it: no cause of the motion.
+    is_kind = is_kind or (not unit and theirs.strip() in ("a", "a_t"))
     return (
         is_kind or bool(property_of_words(column, unit)) or is_angle(unit)
         or bool(unit and unit_of(unit) == ACCELERATION)
