@@ -24,6 +24,9 @@ WIDER = special.ndtri(LEVEL) / special.ndtri(0.05)
 WORSE = 1.01
 """Ratio of errors up to which predictions are as before: a thrust that is over when they begin
 changes nothing of them but rounding."""
+NOTABLE = 1.25
+"""Ratio of errors from which predictions are worse where its interval, from 5 to 95 %, excludes 1:
+what is so little foreseen is not worth what it explains."""
 NO_BETTER = 0.95
 """Ratio of errors above which predictions are no better: a law beside which something is left is
 worth what it foresees."""
@@ -245,7 +248,7 @@ def _refused(done, reason):
 
 
 def _is_surely_worse(accounts):
-    """Whether a ratio of errors is above 1 at that level; its interval goes from 5 to 95 %.
+    """Whether a ratio of errors is above 1 at that level, or notably and at that of its interval.
 
     Not where the last error is no more than what noise makes of the predictions of any law. Where
     few scenes are held out, and the law cannot follow them from any state, it is.
@@ -257,4 +260,5 @@ def _is_surely_worse(accounts):
         return False
     if not (math.isfinite(ratio.low) and ratio.low > 0):
         return False
-    return math.log(ratio.value) + WIDER * math.log(ratio.low / ratio.value) > 0
+    is_notable = ratio.value > NOTABLE and ratio.low > 1
+    return is_notable or math.log(ratio.value) + WIDER * math.log(ratio.low / ratio.value) > 0

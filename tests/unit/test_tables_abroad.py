@@ -49,14 +49,16 @@ def test_headings_of_many_languages_are_times_and_places(tmp_path, header, axis)
 
 
 def test_chinese_axes_need_no_blank(tmp_path):
-    dataset = read(tmp_path, f"时间（秒）,位置x（米）,位置y（米）\n{rows(TIMES, 0 * TIMES + 1, FALL)}")
-    assert np.allclose(along(dataset, 1), FALL, atol=1e-4) and dataset.units.declared["length"] == "m"
+    header = "时间（秒）,位置x（米）,位置y（米）"
+    dataset = read(tmp_path, f"{header}\n{rows(TIMES, 0 * TIMES + 1, FALL)}")
+    assert np.allclose(along(dataset, 1), FALL, atol=1e-4)
+    assert dataset.units.declared["length"] == "m"
 
 
 @pytest.mark.parametrize(
     ("header", "encoding"),
-    [("时间(s),高度(m)", "gb18030"), ("時間[s],高さ[m]", "shift_jis"), ("Время (с);Высота (м)", "cp1251"),
-     ("Czas (s);Wysokość (m)", "cp1250"), ("Zeit (s);Höhe (m)", "cp1252"),
+    [("时间(s),高度(m)", "gb18030"), ("時間[s],高さ[m]", "shift_jis"),
+     ("Время (с);Высота (м)", "cp1251"), ("Czas (s);Wysokość (m)", "cp1250"), ("Zeit (s);Höhe (m)", "cp1252"),
      ("Zeit (s);Höhe (m)", "mac_roman")],
 )  # fmt: skip
 def test_encodings_are_told_by_the_words_that_they_make(tmp_path, header, encoding):
@@ -74,7 +76,8 @@ def test_words_are_folded():
 
 
 @pytest.mark.parametrize("header", [
-    "Time (s),Angle Run #1 (rad),Angle Run #2 (rad)", "Time (s),Angle (rad) Run #1,Angle (rad) Run #2",
+    "Time (s),Angle Run #1 (rad),Angle Run #2 (rad)",
+    "Time (s),Angle (rad) Run #1,Angle (rad) Run #2",
 ])  # fmt: skip
 def test_runs_share_a_clock(tmp_path, header):
     dataset = read(tmp_path, f"{header}\n{rows(TIMES, np.sin(TIMES), np.cos(TIMES))}")

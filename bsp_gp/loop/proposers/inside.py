@@ -24,6 +24,7 @@ from bsp_gp.physics.force import ForceLaw, Term, fresh_names, kind_of, split_lin
 from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.inner import ZOOMS, Form, InnerSearch, Scan, read_forms
 from bsp_gp.search.subsets import best_subsets
+from bsp_gp.units import Unit
 
 __all__ = ["Inside", "form_at", "inner_search"]
 
@@ -47,6 +48,16 @@ SEPARATE = 0.02
 """Part of a law that must lie beside a form and changes of it for the two to be told apart."""
 
 
+SINES = tuple(f"sin(({axis}_i - h_{axis}) / D) * e_{axis}" for axis in "xy")
+"""What drives an angle back: a weight on an arm."""
+
+
+def may_be_angle(dataset):
+    """Whether what is measured is an angle, or may be one: numbers of a sensor on an axle."""
+    units, is_one = dataset.units, dataset.n_moving_axes == 1
+    return units.is_angle or (is_one and not units.is_calibrated(Unit.of(m=1)))
+
+
 class Inside:
     """Forms with constants inside as a proposer.
 
@@ -65,7 +76,10 @@ class Inside:
 
     def __init__(self, laws, dataset):
         self.grammar, self.common = laws.grammar, laws.common
-        self.forms = read_forms(laws.grammar, dataset, laws.properties, laws.available)
+        forms = read_forms(laws.grammar, dataset, laws.properties, laws.available)
+        # A sine of a length is no force before it repeats, which `ripples` asks for.
+        texts = () if may_be_angle(dataset) else SINES
+        self.forms = [form for form in forms if to_text(form.term.formula) not in texts]
 
     def propose(self, view):
         """The family of all forms that explain more than laws without inner constants.

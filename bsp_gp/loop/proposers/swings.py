@@ -15,18 +15,15 @@ from bsp_gp.fitting.periodogram import longest, swing_of
 from bsp_gp.language.formula import Call, Constant, Input, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, with_term
-from bsp_gp.loop.proposers.inside import form_at, inner_search
+from bsp_gp.loop.proposers.inside import SINES, form_at, inner_search, may_be_angle
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.search.inner import PLACE
-from bsp_gp.units import Unit
 
 SPRING = "centre - p_i"
 """The form of the grammar that drives back to a place."""
 LONG = "(norm(centre - p_i) - D) * normalize(centre - p_i)"
 """The same of a spring that has a length, tied to a post."""
-SINE = "sin((x_i - h_x) / D) * e_x"
-"""What drives an angle back: a weight on an arm."""
 SHARE = 0.05
 """Length of such a spring in the extent of the tracks, at which a fit begins."""
 WIDE = 3.0
@@ -54,7 +51,7 @@ class Swings:
         self.grammar = inside.grammar
         known = {to_text(form.term.formula): form for form in inside.forms}
         self.forms = [known[text] for text in (SPRING, LONG) if text in known]
-        self.of_angles = [known[SINE]] if SINE in known else []
+        self.of_angles = [known[SINES[0]]] if SINES[0] in known else []
 
     def propose(self, view):
         """The family of those laws, where bodies swing without a cause, each at a rate of its own.
@@ -80,19 +77,13 @@ class Swings:
         if swing_of(view.fit, foreseen=True):
             return Family(self.name)
         search = inner_search(view, self.grammar, view.moment_draws)
-        own = self.of_angles if _may_be_angle(view.dataset) else []
+        own = self.of_angles if may_be_angle(view.dataset) else []
         forms = [f for f in self.forms + own if search.axes_of(f) is not None]
         if is_alone:
             proposals = tuple(_slowed(view, search, form, rates[None]) for form in forms)
         else:
             proposals = tuple(_apart(view, search, form, rates) for form in forms[:1])
         return Family(self.name, proposals, is_control=True)
-
-
-def _may_be_angle(dataset):
-    """Whether what is measured is an angle, or may be one: numbers of a sensor on an axle."""
-    units, is_one = dataset.units, dataset.n_moving_axes == 1
-    return units.is_angle or (is_one and not units.is_calibrated(Unit.of(m=1)))
 
 
 def _about(view, search, form):
@@ -125,7 +116,7 @@ def _radian(dataset):
 
 
 def _is_sine(form):
-    return to_text(form.term.formula) == SINE
+    return to_text(form.term.formula) == SINES[0]
 
 
 def _apart(view, search, form, rates):
