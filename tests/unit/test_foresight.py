@@ -171,6 +171,13 @@ def test_worse_predictions_must_be_sure_at_one_in_a_hundred():
     assert not _is_surely_worse(accounts_of(Ratio(1.5), 1.0, 0.5))
 
 
+def test_notably_worse_predictions_need_be_sure_at_their_interval_alone():
+    """Of a telephone on a spring each cause more made what was held out several times worse."""
+    wide, may_be = Ratio(5.5, 1.17, 20.9, "parametric"), Ratio(5.5, 0.9, 20.9, "parametric")
+    assert _is_surely_worse(accounts_of(wide, 1.0, np.nan))
+    assert not _is_surely_worse(accounts_of(may_be, 1.0, np.nan))
+
+
 def test_a_law_that_cannot_follow_what_was_held_out_makes_predictions_worse():
     """An unseen body was a fact of a ball that had landed, though no copy could be made."""
     unknown = Ratio(3.8)

@@ -1,6 +1,7 @@
 """Laws with constants inside: found on grids, fitted in place, and no rivals of special cases."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,7 @@ from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.evidence import log_evidence
-from bsp_gp.loop.proposers.inside import Inside, inner_search
+from bsp_gp.loop.proposers.inside import SINES, Inside, inner_search
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import View
 from bsp_gp.physics.bodies import stack
@@ -24,7 +25,7 @@ from bsp_gp.physics.force import Term
 from bsp_gp.report.naming import describe
 from bsp_gp.report.sentences import parting_sentence
 from bsp_gp.search.inner import Axis, Form, _are_told, expanded
-from bsp_gp.units import Unit
+from bsp_gp.units import Unit, UnitSystem
 from tests.fitted_tracks import body, dataset_of, scene_of
 from tests.unit.test_decide import decided, row
 
@@ -172,6 +173,19 @@ def test_no_power_is_fitted_of_a_property_that_is_unknown_or_the_same_everywhere
     assert not _are_told(formula, data)
     formula = parse_formula("m_i^a * v_i", input_types({"mass": Unit.of(kg=1)}))
     assert _are_told(formula, data)
+
+
+def test_no_sine_of_a_length_is_asked():
+    """A telephone on a spring had been driven by the sine of its place, in metres."""
+    places = np.stack([0.2 * np.cos(3 * TIMES), 0 * TIMES], axis=-1)[:, None]
+    data = dataset_of([scene_of(TIMES, (body("telephone"),), places)])
+    laws = Laws(load_grammar("physics"), data, max_levels=4)
+    sines = []
+    for unit in ("m", "rad"):
+        units = UnitSystem.from_declared({"length": unit, "time": "s"})
+        forms = Inside(laws, replace(data, units=units)).forms
+        sines.append(any(to_text(form.term.formula) in SINES for form in forms))
+    assert sines == [False, True]
 
 
 @pytest.mark.slow

@@ -117,6 +117,7 @@ def test_nothing_is_asked_before_the_loop(track):
         ("far", lambda f: np.hypot(f.x, f.y)),
         ("likelihood", lambda f: 0.9 + 0.1 * np.cos(f.t)),
         ("ax", lambda f: np.cos(f.t)),
+        ("a", lambda f: np.cos(1.7 * f.t)),  # smoothed as the program does it
         ("GPS speed (m/s)", lambda f: np.cos(f.t)),
         ("words", lambda f: ["a"] * len(f)),
     ],

@@ -58,8 +58,8 @@ def test_chinese_axes_need_no_blank(tmp_path):
 @pytest.mark.parametrize(
     ("header", "encoding"),
     [("时间(s),高度(m)", "gb18030"), ("時間[s],高さ[m]", "shift_jis"),
-     ("Время (с);Высота (м)", "cp1251"), ("Czas (s);Wysokość (m)", "cp1250"), ("Zeit (s);Höhe (m)", "cp1252"),
-     ("Zeit (s);Höhe (m)", "mac_roman")],
+     ("Время (с);Высота (м)", "cp1251"), ("Czas (s);Wysokość (m)", "cp1250"),
+     ("Zeit (s);Höhe (m)", "cp1252"), ("Zeit (s);Höhe (m)", "mac_roman")],
 )  # fmt: skip
 def test_encodings_are_told_by_the_words_that_they_make(tmp_path, header, encoding):
     text = f"{header}\n{rows(TIMES, FALL, sep=';' if ';' in header else ',')}"
