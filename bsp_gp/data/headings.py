@@ -59,6 +59,8 @@ _RUN_AFTER = re.compile(
 )
 """Of headings without capitals and accents."""
 _BODY_BEFORE = re.compile(r"(.*[^\s_.:-])[\s_.:-]+([vs]?[xyz]|t)", re.IGNORECASE)
+_UNGLUED = re.compile(r"^([xyzXYZ])([a-zA-Z]{3,})$")
+"""``Xearth``: a body behind its axis."""
 _LABELLED = re.compile(r"(.+?)[\s_.:-]+([xyz])[\s_.-]+([^\W\d]+)", re.IGNORECASE)
 """A body, its axis, and what of it: ``Objekt 1 x-Koordinate``."""
 _BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECASE)
@@ -682,7 +684,7 @@ def bodies_beside(table_columns, units):
     """
     out = {}
     for name, theirs in table_columns.items():
-        h = _of_body(Heading(name, units.get(name, ""), theirs))
+        h = _of_body(Heading(_UNGLUED.sub(r"\1_\2", name), units.get(name, ""), theirs))
         if h.body and h.name in "xyz" and not _words(h.body) & _PROCESSED_WORDS:
             out.setdefault(h.body, {})[h.name] = theirs
     return {body: axes for body, axes in out.items() if {"x", "y"} <= set(axes)}

@@ -103,6 +103,12 @@ def test_a_body_its_axis_and_what_of_it(tmp_path):
     assert np.allclose(along(dataset, 1), FALL, atol=1e-4)
 
 
+def test_a_body_behind_its_axis_is_told_as_one_that_is_left_out(tmp_path):
+    header = "t,X,Y,Xearth,Yearth"
+    dataset = read(tmp_path, f"{header}\n{rows(TIMES, TIMES, FALL, FALL, TIMES)}")
+    assert "Xearth" in next(note for note in dataset.notes if note.startswith("check"))
+
+
 def test_one_height_in_two_units_is_one(tmp_path):
     text = f"Time(s),Altitude(m),Altitude(ft),Speed(mph)\n{rows(TIMES, FALL, FALL / 0.3048, FALL)}"
     dataset = read(tmp_path, text)
