@@ -57,6 +57,10 @@ MOST_OF_ALL = 0.9
 tracks have gained otherwise."""
 MOST_LEFT = 0.3
 """Part of the reduced chi-squared that may be left by what comes before all other causes."""
+MOST_BESIDE = 0.1
+"""Part of what a law leaves, up to which a rod or a rail leaves little."""
+MOST_HELD = 3
+"""Rods and rails that are fitted before all else."""
 MOST_UNKEPT = 3
 """Fits of a family that are no likelier than the law as it is, though they promised to be, or, of
 what is no law, that lead nowhere, after which no more of it are made: what its promises are made of
@@ -262,15 +266,19 @@ class _Run:
             view.tick, view.seconds_left = self.clock.tick, self.clock.left
             if not found.is_failed:
                 view.noise_findings = noise_findings(view)
-            turn.propose(number, view)
+            held = self.held(number, found, hypothesis, view)
+            turn = held or turn
+            if held is None:
+                turn.propose(number, view, self.proposers)
             asked = self.asked(view)
             turn.p_value = turn.p_of_all(view, self.looks)
-            if turn.p_value <= self.criteria.alpha:
-                asked |= self.traced(view, turn)
-                turn.fit_best()
-                turn.fit_seconds(number, rng)
-            else:
+            if turn.p_value > self.criteria.alpha:
                 turn.ask_without_memory(number, view)
+            else:
+                asked |= self.traced(view, turn)
+                if held is None:
+                    turn.fit_best()
+                    turn.fit_seconds(number, rng)
         turn.note_time("fits")
         of_noise = (view.noise_chance, view.forced, turn.swamped) if view else ()
         table = HypothesisTable(tuple(turn.rows), turn.p_value, *of_noise)
@@ -287,6 +295,19 @@ class _Run:
             turn.proposals, time.monotonic() - started, tuple(turn.left_out), details,
             aside=aside, **asked,
         )  # fmt: skip
+
+    def held(self, number, found, hypothesis, view):
+        """A turn that asks for rods and rails alone, where one is surely seen; else None.
+
+        Nothing else keeps a body at one distance while its speed changes: where such a rod leaves
+        little of what the law before it did, forces are asked for beside it, and not in its place.
+        """
+        turn = _Turn(self, found, hypothesis)
+        turn.propose(number, view, [p for p in self.proposers if hasattr(p, "is_structural")])
+        sole = [(f.name, p) for f in turn.families for p in f.proposals if p.is_sole]
+        if not sole or turn.p_of_all(view, self.looks) > self.criteria.alpha:
+            return None
+        return turn if turn.fit_held(sole[:MOST_HELD]) and not turn.left_out else None
 
     def details(self, best, turn, view, rng):
         """What its proposer tells of the likeliest cause, if it does."""
@@ -364,11 +385,11 @@ class _Turn:
             decision, verdict="cannot tell", reason="time_is_up", is_adopted=False, is_fact=False
         )
 
-    def propose(self, number, view):
-        """Ask all proposers for which there is time."""
+    def propose(self, number, view, proposers):
+        """Ask those proposers for which there is time."""
         self.levels = np.array(view.fit.noise.levels)
         self.near, self.missing = view.near, max(float(view.left @ view.left) - view.n_left, 0.0)
-        able = [p for p in self.run.proposers if self._may_ask(p)]
+        able = [p for p in proposers if self._may_ask(p)]
         here = [p for p in able if not getattr(p, "is_alone", True)]
         others = [p for p in able if p not in here]
         # What begins with what another has told the view is asked here, and meanwhile the rest by
@@ -409,7 +430,7 @@ class _Turn:
         view, less = white
         before = self.families, self.near, self.missing, self.levels, self.chances
         self.families = []
-        self.propose(number, view)
+        self.propose(number, view, self.run.proposers)
         found = [p.promise for f in self.families for p in f.proposals if p.kind != "noise"]
         if max(found, default=-math.inf) > less + self.run.criteria.noise_nats:
             by_chance = self.p_of_all(view, self.run.looks)
@@ -514,6 +535,25 @@ class _Turn:
             if max(nats for nats, _ in known.values()) > least[source] + FAR_BEHIND
         }  # fmt: skip
         self._tell_near(every, above, highest, off)
+
+    def fit_held(self, queue):
+        """Fit rods and rails, and beside a drag what slows down too much to be followed without.
+
+        Returns
+        -------
+        bool
+            Whether one of them leaves little.
+        """
+        for k, (source, proposal) in enumerate(queue, 1):
+            for one in filter(None, (proposal, proposal.instead)):
+                if self.note_time("fits"):
+                    return False
+                self.run.says(f"fit {k} of {len(queue)}: {one.text}")
+                found = _fit_of(self._shared, (source, one))
+                row, _ = self._followed(source, replace(one, instead=None), found)
+                if row.is_fit and row.left < MOST_BESIDE * self.rows[0].left:
+                    return True
+        return False
 
     def fit_seconds(self, number, rng):
         """Ask beside each of the likeliest laws for a second one, where all leave much.

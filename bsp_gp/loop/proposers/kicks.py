@@ -18,6 +18,9 @@ from bsp_gp.units import DIMENSIONLESS, Unit
 
 LEAST_ROWS = 100
 """Of a track: on fewer nobody tells kicks from a force that changes."""
+PIECE, SURELY_ODD = 400, 1e-6
+"""Rows of a track on which kicks are asked first where there are many, and the chance of forecasts
+as odd, below which the others are not asked."""
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 UNITS = {
     "drag_rate": DIMENSIONLESS / TIME, "trap_rate": DIMENSIONLESS / TIME**2,
@@ -110,6 +113,13 @@ def _likeliest(tracks, fit, criteria):
     """The likeliest model whose forecasts err no more oddly than noise does, and all models."""
     free = fit.noise.is_free.any()
     noise = None if free else float(np.sqrt(np.nanmean(np.square(fit.noise.levels))))
+    # What is so odd on a piece that no kicks are told stays so on the whole, which takes long.
+    pieces = [Track(t.times[:PIECE], t.places[:PIECE]) for t in tracks]
+    if sum(len(t.times) for t in tracks) > 2 * sum(len(t.times) for t in pieces):
+        models = models_of(pieces, noise, criteria.class_nats)
+        near = [m for m in models if models[0].score - m.score <= criteria.class_nats]
+        if "kicks" in models[0].terms and all(m.oddity < SURELY_ODD for m in near):
+            return models[0], models
     models = models_of(tracks, noise, criteria.class_nats)
     near = (m for m in models if models[0].score - m.score <= criteria.class_nats)
     return next((m for m in near if m.oddity >= criteria.alpha), models[0]), models

@@ -91,6 +91,7 @@ class Rods:
     """Constraints as a proposer."""
 
     name = "constraints"
+    is_structural = True
 
     def propose(self, view):
         """The family of all distances and lines of bodies that are not held already."""
