@@ -21,7 +21,9 @@ _ENTRY = re.compile(r"\b(V?[XYZ])\s*=\s*([-+]?\d\.\d+E[-+]\d+)")
 
 
 def plain_horizons(text, path):
-    """A table with units and the body; what is none of Horizons' stays as it is.
+    """A table with units, the body and the one from which places count, and a note of that.
+
+    What is none of Horizons' stays as it is.
 
     Raises
     ------
@@ -55,7 +57,23 @@ def plain_horizons(text, path):
         made, cells = _seen(header, cells, path)
     name = body[1] if body else "body"
     table = [["entity", *made], *([name, *row] for row in cells)]
-    return "\n".join("\t".join(row) for row in table) + "\n"
+    centre = _centre("\n".join(above)) if "JDTDB" in header else _SUN * ("x (au)" in made)
+    if centre and centre != name:
+        table += [[centre, row[0], *["0"] * (len(made) - 1)] for row in cells]
+    text = "\n".join("\t".join(row) for row in table) + "\n"
+    note = f"places count from {centre}, which is at rest at the origin"
+    return text, (note,) * bool(centre)
+
+
+_SUN = "Sun"
+
+
+def _centre(above):
+    """The body in whose middle places begin; "" where that is another point."""
+    name = re.search(r"Center body name:\s*(.*?)\s*(?:\(\d+\)\s*)?(?:\{|$)", above, re.M)
+    site = re.search(r"Center-site name:\s*(.*?)\s*$", above, re.M)
+    is_body = name is not None and site is not None and "barycent" not in name[1].lower()
+    return name[1] if is_body and site[1].upper() in ("BODY CENTER", "BODYCENTRIC") else ""
 
 
 def _unnamed(lines):

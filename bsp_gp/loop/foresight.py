@@ -223,7 +223,9 @@ def _that_help(rounds, helps):
     """Rounds up to the last that adopts what predictions are better with."""
     kept = list(rounds)
     for k in reversed(range(len(helps))):
-        if not foresees(rounds[k].decision.best) or helps[k]:
+        if not foresees(rounds[k].decision.best):
+            continue  # a kick beside a force that helps nothing says nothing for that
+        if helps[k]:
             break
         kept = [*rounds[:k], _refused(rounds[k], "predictions_no_better")]
     return kept

@@ -184,6 +184,11 @@ def test_records_of_horizons_without_labels(tmp_path):
     dataset = read(tmp_path, text, "horizons.txt")
     assert dataset.scenes[0].names == ("Comet",)
     assert np.allclose(along(dataset, 1), 1e8 * np.arange(6) ** 2)
+    about = "Center body name: Jupiter (599)    {source: JUP310}\nCenter-site name: BODY CENTER"
+    dataset = read(tmp_path, text.replace("Output", f"{about}\nOutput", 1), "centre.txt")
+    assert dataset.scenes[0].names == ("Comet", "Jupiter")
+    assert dataset.scenes[0].entities[1].is_static
+    assert "places count from Jupiter, which is at rest at the origin" in dataset.notes
 
 
 def test_a_tab_behind_the_headings_of_qualisys_moves_no_column(tmp_path):

@@ -5,6 +5,7 @@ from bsp_gp.loop.proposers.anchors import Anchors
 from bsp_gp.loop.proposers.aslant import Aslant
 from bsp_gp.loop.proposers.blown import Blown
 from bsp_gp.loop.proposers.by_owner import ByOwner
+from bsp_gp.loop.proposers.centres import Centres
 from bsp_gp.loop.proposers.companions import Companions
 from bsp_gp.loop.proposers.contacts import Contacts
 from bsp_gp.loop.proposers.defects import Defects
@@ -51,7 +52,7 @@ def standard(grammar, dataset, **settings):
     return [
         laws, inside, Polynomials(laws), Regimes(), Blown(), Swings(inside), ByOwner(laws),
         OwnLaws(laws), Declared(), Varying(), Growing(), Winds(), Periods(), Ripples(), Pulsing(),
-        Alternating(laws, dataset), Frames(), Inclinations(), References(), Sources(), Hidden(),
+        Alternating(laws, dataset), Frames(), Inclinations(), References(), Sources(), Hidden(), Centres(),
         Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Anchors(), Measurement(),
         LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
     ]  # fmt: skip

@@ -25,6 +25,8 @@ NEARLY = 0.01
 bobs leave their plane, and cameras look aslant."""
 STEEP = 20.0
 """Slope of a curve from which it is one of the other coordinate."""
+ARC = 30.0
+"""Deviations from a line from which an arc that does not come back is one about a point."""
 BENT = 3.0
 """Deviations from a line, in the same, from which a track is one about a point."""
 MOVED = 10.0
@@ -147,6 +149,8 @@ def _alone(name, tracks):
     curve = _along_a_curve(name, tracks) if len(middle) == 2 else None
     centre, radius = _sphere(places[seen])
     spread, level = deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
+    if not _swings(tracks, axes[0]) and bend < ARC * level:
+        return None  # of a track that is thrown, noise makes an arc
     is_about = spread <= NEARLY * np.ptp(places[seen], axis=0).max() and _swings(tracks, axes[0])
     if bend < BENT * level or not (is_about or _is_constant(spread, level, places[seen])):
         return curve if bend > BENT * level else None
@@ -366,5 +370,8 @@ def _share(fit, bodies):
 def _is_uneven(series):
     """Whether a body goes about a point at anything but a constant speed, as an orbit might."""
     seen = (p[np.isfinite(p).all(axis=1)] for p in series.values())
-    speed = np.linalg.norm(np.concatenate([np.diff(p, axis=0) for p in seen]), axis=1)
-    return bool(speed.std() > UNEVEN * speed.mean())
+    steps = [np.diff(p, axis=0) for p in seen]
+    speed = np.linalg.norm(np.concatenate(steps), axis=1)
+    level = np.concatenate([np.diff(own, 2, axis=0) for own in steps])
+    noise = 2 * np.square(level).mean() / 20 if len(level) else 0.0  # of a step, along its way
+    return bool(max(speed.var() - noise, 0.0) > (UNEVEN * speed.mean()) ** 2)

@@ -1,0 +1,72 @@
+"""What goes round a body that is seen at rest, in the sky: gravity before all other forces.
+
+Where rows are far apart, or a body passes another one closely, moments along tracks tell little of
+a force; whole tracks do. Its strength is told by how fast each body is bent at its distance.
+"""
+
+import numpy as np
+
+from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.render import to_text
+from bsp_gp.loop.proposal import PATIENT, Family, Proposal, with_term
+from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import Term, fresh_name
+
+PULL = "inverse(norm(p_i - p_j)^2) * normalize(p_i - p_j)"
+LEAST_ROWS = 5
+
+
+class Centres:
+    """The pull of a body at rest, as the inverse square of the distance, as a proposer."""
+
+    name = "centres"
+
+    def propose(self, view):
+        """The family of that one law, where no pull between bodies is known."""
+        law, null = view.fit.law, np.zeros(view.moment_draws.shape[1])
+        is_pulled = any(term.kind == "pair" for term in law.terms) or law.unseen
+        strength = None if is_pulled or not view.is_sky else strength_of(view.dataset)
+        if strength is None:
+            return Family(self.name, null=null)
+        name = fresh_name(law, "c")
+        mass = "m_i * m_j * " if has_masses(view.dataset) else ""
+        formula = parse_formula(f"{name} * ({mass}{PULL})", dataset_types(view.dataset))
+        hypothesis = with_term(view.hypothesis, Term(formula, "pair"), {name: -strength})
+        gain = max(float(view.left @ view.left) - view.n_left, 0.0)
+        proposal = Proposal(
+            "law", to_text(formula), hypothesis, 0.0, gain, 1, starts={name: -strength},
+            formulas=(formula,), n_dims=view.dataset.n_dims, is_first=True, is_afresh=True,
+            patience=PATIENT,
+        )  # fmt: skip
+        return Family(self.name, (proposal,), null=null, is_control=True)
+
+
+def has_masses(dataset):
+    """Whether every body has a mass that is known."""
+    bodies = [entity for scene in dataset.scenes for entity in scene.entities]
+    return bool(np.isfinite([body.mass for body in bodies]).all())
+
+
+def strength_of(dataset):
+    """Acceleration towards the only body at rest times the square of the distance; None without.
+
+    The median over rows and bodies does not mind where one passes another closely.
+    """
+    found = []
+    for scene in dataset.scenes:
+        still = [k for k, entity in enumerate(scene.entities) if entity.is_static]
+        if len(still) != 1:
+            return None
+        centre = np.nanmean(scene.positions[:, still[0]], axis=0)
+        for k in scene.dynamic:
+            seen = np.isfinite(scene.positions[:, k]).all(axis=1)
+            times, places = scene.times[seen], scene.positions[seen, k] - centre
+            if len(times) < LEAST_ROWS:
+                continue
+            before, after = np.diff(times)[:-1, None], np.diff(times)[1:, None]
+            speeds = np.diff(places, axis=0) / np.diff(times)[:, None]
+            bend = 2 * np.diff(speeds, axis=0) / (before + after)
+            distance = np.linalg.norm(places[1:-1], axis=1)
+            found += (-(bend * places[1:-1]).sum(axis=1) * distance).tolist()
+    strength = float(np.median(found)) if found else 0.0
+    return strength if strength > 0 else None
