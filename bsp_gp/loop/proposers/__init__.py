@@ -52,7 +52,7 @@ def standard(grammar, dataset, **settings):
     return [
         laws, inside, Polynomials(laws), Regimes(), Blown(), Swings(inside), ByOwner(laws),
         OwnLaws(laws), Declared(), Varying(), Growing(), Winds(), Periods(), Ripples(), Pulsing(),
-        Alternating(laws, dataset), Frames(), Inclinations(), References(), Sources(), Hidden(), Centres(),
-        Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Anchors(), Measurement(),
-        LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
+        Alternating(laws, dataset), Frames(), Inclinations(), References(), Sources(), Hidden(),
+        Centres(), Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Anchors(),
+        Measurement(), LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
     ]  # fmt: skip
