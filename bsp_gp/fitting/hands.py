@@ -36,6 +36,9 @@ MOSTLY = 0.5
 """Part of the pieces in a hand in which the law lacks as much."""
 MOST_LED = 0.5
 """Part of a recording that may be in a hand at one end."""
+MOST_WAY = 1 / 3
+"""Part of the whole way that a body may go in a hand: rockets go most of theirs by a motor, and
+until a parachute opens."""
 VARIES, CHANCE = 0.08, 1e-6
 """Spread of the acceleration that a hand gives, in its mean, and the chance of it."""
 FEW = 3
@@ -88,6 +91,7 @@ def without_hands(dataset, law):
         half = 0 if found is None else pieces[scene.name][0] // 2
         first = 0 if found is None else _led(found, found.rows, half, count)
         last = 0 if found is None else _led(found, count - 1 - found.rows, half, count)
+        first, last = _near(scene, levels, first, last)
         if (first or last) and _is_still(scene.rows(first, count - last), levels):
             first = last = 0  # what slides until it stops is in nobody's hand
         scenes.append(scene.rows(first, count - last) if first or last else scene)
@@ -102,6 +106,21 @@ def without_hands(dataset, law):
         f"--all-rows keeps them"
     )
     return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
+
+
+def _near(scene, levels, first, last):
+    """Rows at both ends in a hand, none where these go so far that no arm reaches there."""
+    places = scene.positions[:, scene.dynamic[0]][:, np.isfinite(levels)]
+    return (
+        first if is_in_reach(places, first, 0) else 0, last if is_in_reach(places, last, 1) else 0
+    )  # fmt: skip
+
+
+def is_in_reach(places, n_rows, side):
+    """Whether rows (n_rows,) at the beginning (0) or end (1) of places (T, a) go no long way."""
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    own = steps[:n_rows] if side == 0 else steps[len(steps) - n_rows :]
+    return bool(np.nansum(own) < MOST_WAY * np.nansum(steps))
 
 
 def _is_still(scene, levels):

@@ -11,6 +11,7 @@ import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.fitting.departures import departures, going_on
+from bsp_gp.fitting.hands import is_in_reach
 from bsp_gp.fitting.parts.defects import LeftOut
 from bsp_gp.loop.proposal import Family
 from bsp_gp.loop.proposers.defects import chains_of, proposal_of
@@ -46,7 +47,8 @@ class Hands:
                 even = np.maximum(even, end.even)
                 n_tried += len(end.rows)
                 k = end.told_by_track(told[side]) if any(told) else end.told_by_law()
-                if k is not None and end.paid[k] > 0:
+                is_near = k is not None and is_in_reach(track[0], int(end.rows[k]), side)
+                if is_near and end.paid[k] > 0:
                     found.append((end.part(k), float(end.paid[k])))
         n_out = sum(part.n_left_out for part, _ in found)
         is_told = found and n_out <= MOST_OUT * np.count_nonzero(view.tangent.whitener.seen)

@@ -7,6 +7,9 @@ and on the other, and sums of them chosen as a whole where all of them together 
 
 from dataclasses import replace
 
+import numpy as np
+from scipy.optimize import minimize
+
 from bsp_gp.language.formula import Call, Constant, Input, Number, product
 from bsp_gp.loop.proposal import NEW, Family
 from bsp_gp.loop.proposers.libraries import (
@@ -23,6 +26,8 @@ from bsp_gp.loop.proposers.periods import coordinate_of
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import fresh_name
 
+INSTANTS, MOST_LOOKS = 14, 80
+"""Instants at which stages of a flight may end, tried at first, and how often they are moved."""
 LESS = 0.5
 """Part of what terms leave everywhere that they must leave where they may change."""
 
@@ -43,9 +48,10 @@ class Regimes:
         plain = library_of(view, rows)
         bar = LESS * (left_by(view, plain.columns) if plain else float(view.left @ view.left))
         edges = [(*coordinate_of(types, a), f"h_{'xyz'[a]}", extent_of(view, a)) for a in axes]
-        if len(scenes) == 1:
-            (scene,) = scenes
-            edges.append((Input("t", types["t"]), None, "t", (scene.times[0], scene.times[-1])))
+        span = None  # of several recordings each has a clock
+        if len({scene.part_of or scene.name for scene in scenes}) == 1:
+            span = min(s.times[0] for s in scenes), max(s.times[-1] for s in scenes)
+            edges.append((Input("t", types["t"]), None, "t", span))
         libraries = []
         for quantity, direction, stem, extent in edges:
             name = fresh_name(view.fit.law, stem)
@@ -57,7 +63,36 @@ class Regimes:
             found = placed.best_on_line()
             if found is not None and left_by(view, found.columns) < bar:
                 libraries.append(replace(found, placed=placed))
+        stages = _stages(view, axes, span) if span and len(axes) == 1 else None
+        if stages is not None and left_by(view, stages.columns) < bar:
+            libraries.append(stages)
         return family_of(self.name, view, libraries, has_waves=False)
+
+
+def _stages(view, axes, span):
+    """A flight in stages: a thrust up to an instant, and drags before and after another one.
+
+    Of a rocket these are its motor, its body and its parachute; of a jumper the latter two.
+    """
+    types = dataset_types(view.dataset)
+    names = [fresh_name(view.fit.law, stem) for stem in ("t", "t_open")]
+    time, velocity = Input("t", types["t"]), Input("v_i", types["v_i"])
+    drag = Call("mul", Call("norm", velocity), velocity)
+    rows = []
+    for push in (coordinate_of(types, axis)[1] for axis in axes):
+        rows += [(push, 0), (_on(time, names[0], "sub", push), NEW)]
+    rows += [(_on(time, names[1], "sub", drag), 0), (_on(time, names[1], "add", drag), NEW)]
+    placed = Placed(view, rows, tuple(names), (span, span), types["t"].unit)
+    line = np.linspace(*span, INSTANTS + 2)[1:-1]
+    pairs = [(early, late) for k, early in enumerate(line) for late in line[k + 1 :]]
+    first = min(pairs, key=placed.unexplained)
+    step = line[1] - line[0]
+    found = minimize(
+        placed.unexplained, first, method="Nelder-Mead",
+        options={"maxfev": MOST_LOOKS, "xatol": 1e-3 * step,
+                 "initial_simplex": np.add(first, [[0, 0], [step / 2, 0], [0, step / 2]])},
+    )  # fmt: skip
+    return placed.library(found.x)
 
 
 _SIDES = "sub", "add"
