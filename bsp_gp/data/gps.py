@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 from bsp_gp.errors import DataError
 
 ENDINGS = (".gpx", ".tcx", ".kml")
-NMEA = ("$GP", "$GN", "$GL", "$GA")
-"""How sentences of receivers begin; other programs may write their own among them."""
+NMEA = ("$GP", "$GN", "$GL", "$GA", "$P")
+"""How sentences of receivers begin, and those of devices among them ("$P")."""
 _HEADER = ("run", "t (s)", "latitude", "longitude", "altitude (m)")
 _REMEDY = "export the track with times, as GPX or as a table with times, latitudes and longitudes"
 _SENTENCE = re.compile(r"\$G[PNLA](RMC|GGA|GLL),([^*\n]*)")

@@ -302,6 +302,8 @@ class _Run:
         Nothing else keeps a body at one distance while its speed changes: where such a rod leaves
         little of what the law before it did, forces are asked for beside it, and not in its place.
         """
+        if found.is_failed:
+            return None
         turn = _Turn(self, found, hypothesis)
         turn.propose(number, view, [p for p in self.proposers if hasattr(p, "is_structural")])
         sole = [(f.name, p) for f in turn.families for p in f.proposals if p.is_sole]

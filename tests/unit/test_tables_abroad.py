@@ -168,7 +168,7 @@ def test_sentences_of_receivers_go_on_over_midnight(tmp_path):
         f"$GPGGA,{'2359' if k < 6 else '0000'}{54 + k if k < 6 else k - 6:02d}.00,"
         f"4700.{600 + k},N,00800.000,E,1,8,1.0,{400 + k}.0,M,0,M,,*00" for k in range(12)
     ]  # fmt: skip
-    dataset = read(tmp_path, "\n".join(["$GPGSV,1,1*00", *lines]), "log.txt")
+    dataset = read(tmp_path, "\n".join(["$PVER,1", "$GPGSV,1,1*00", *lines]), "log.txt")
     assert np.allclose(np.diff(dataset.scenes[0].times), 1.0)
     assert np.allclose(np.diff(along(dataset, 1)), 1.853, rtol=1e-3)
 
