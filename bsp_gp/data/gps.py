@@ -21,7 +21,7 @@ _FIELDS = {"RMC": (0, 2, None), "GGA": (0, 1, 8), "GLL": (4, 0, None)}
 
 
 def of_xml(text, path):
-    """The points of a GPX, TCX or KML file as text with tabs, the header first.
+    """The points of a GPX, TCX or KML file as text with tabs, the header first, and notes.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def of_xml(text, path):
 
 
 def of_nmea(text, path):
-    """The fixes among sentences of NMEA 0183 as text with tabs, the header first.
+    """The fixes among sentences of NMEA 0183 as text with tabs, the header first, and notes.
 
     Times of the day go on over midnight; sentences of one instant say one place.
     """
@@ -68,10 +68,19 @@ def of_nmea(text, path):
 
 
 def _table(rows):
-    """Lines of a table, without runs where there is one, and heights where there are none."""
+    """Lines of a table, without runs where there is one and heights where few have any; notes.
+
+    Where most have a height, those without are no places in space.
+    """
+    high = [row for row in rows if row[-1]]
+    has_heights = 2 * len(high) > len(rows)
+    note = f"fixes without a height are left out: {len(rows) - len(high)}"
+    notes = (note,) if has_heights and len(high) < len(rows) else ()
+    rows = high if has_heights else rows
     first = 0 if len({row[0] for row in rows}) > 1 else 1
-    stop = len(_HEADER) - (not any(row[-1] for row in rows))
-    return "".join("\t".join(row[first:stop]) + "\n" for row in (_HEADER, *rows))
+    stop = len(_HEADER) - (not has_heights)
+    text = "".join("\t".join(row[first:stop]) + "\n" for row in (_HEADER, *rows))
+    return text, notes
 
 
 def _name(element):

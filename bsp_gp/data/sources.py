@@ -129,8 +129,8 @@ def open_source(path, names=()):
     source = _text_file(path, names)
     if path.suffix.lower() in gps.ENDINGS:
         with source.open() as stream:
-            text = gps.of_xml(stream.read(), path)
-        return replace(source, text=text, counts=_counts(text))
+            text, notes = gps.of_xml(stream.read(), path)
+        return replace(source, text=text, counts=_counts(text), notes=(*source.notes, *notes))
     if path.suffix.lower() in RECORDS or _begins_as_records(source):
         with source.open() as stream:
             text = as_table(stream.read(), path)
