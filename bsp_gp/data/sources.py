@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bsp_gp.data import arrays, gps
+from bsp_gp.data.headings import is_run
 from bsp_gp.data.preambles import HEADS, without_preamble
 from bsp_gp.data.records import ENDINGS as RECORDS
 from bsp_gp.data.records import as_table
@@ -33,6 +34,7 @@ _OWN_FORMATS = {
 _ENCODINGS = ("cp1252", "cp1250", "cp1251", "gb18030", "big5", "shift_jis", "euc_kr", "cp1253",
               "mac_roman", "cp437")  # fmt: skip
 _HEAD_BYTES = 1 << 14
+_NUMBER = re.compile(r"[-+\d.,eE]+")
 _WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -315,6 +317,11 @@ def _workbook(path):
     filled = [title for title, rows in sheets.items() if rows]
     if not filled:
         raise DataError("the workbook is empty", file=path, remedy="a header and rows are needed")
+    whole = _with_headers(sheets, filled)
+    made = () if whole is sheets else (
+        f"no header: columns read as {', '.join(whole[filled[0]][0])}",
+    )  # fmt: skip
+    sheets = whole
     alike = _with_one_header(sheets, filled)
     rows = _below_each_other(sheets, alike) if len(alike) > 1 else sheets[filled[0]]
     out = io.StringIO()
@@ -325,16 +332,27 @@ def _workbook(path):
     notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {told}",) if unread else ()
     if len(alike) > 1:
         more = f", not {told}" if unread else ""
-        notes = (f"{len(alike)} sheets of {path.name} with one header are recordings{more}",)
+        notes = (f"{len(alike)} sheets of {path.name} with one header are recordings{more}", *made)
     digest = hashlib.sha256(content).hexdigest()
     return Source(path, digest, _counts(text), text=text, notes=notes)
+
+
+def _with_headers(sheets, filled):
+    """Sheets called after runs, of numbers alone, with the headings that such a table gets."""
+    widths = {len(row) for title in filled for row in sheets[title]}
+    is_bare = len(filled) > 1 and all(map(is_run, filled)) and widths <= {2, 3, 4}
+    cells = [cell for title in filled for row in sheets[title] for cell in row]
+    if not (is_bare and len(widths) == 1 and all(map(_NUMBER.fullmatch, cells))):
+        return sheets
+    header = ["t", "x", "y", "z"][: widths.pop()]
+    return {title: [header, *rows] if rows else rows for title, rows in sheets.items()}
 
 
 def _with_one_header(sheets, filled):
     """Names of the sheets whose first rows are names, the same in all; those of the first one."""
     header = [sheets[title][0] for title in filled]
     names = [cell for cell in header[0] if cell]
-    is_named = len(names) > 1 and not any(re.fullmatch(r"[-+\d.,eE]+", cell) for cell in names)
+    is_named = len(names) > 1 and not any(map(_NUMBER.fullmatch, names))
     alike = [title for title, row in zip(filled, header, strict=True) if row == header[0]]
     has_own = any(cell.strip().lower() in ("scene", "run") for cell in names)
     return alike if is_named and not has_own else []

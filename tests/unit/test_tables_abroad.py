@@ -215,6 +215,12 @@ def test_sheets_with_one_header_are_recordings(tmp_path):
     dataset = load_dataset(tmp_path / "runs.xlsx")
     assert [scene.name for scene in dataset.scenes] == ["slow", "fast"]
     assert "2 sheets of runs.xlsx with one header are recordings, not 'notes'" in dataset.notes
+    with pd.ExcelWriter(tmp_path / "bare.xlsx") as book:
+        for name in ("Run 1", "Run 2"):
+            one.to_excel(book, sheet_name=name, index=False, header=False)
+    bare = load_dataset(tmp_path / "bare.xlsx")
+    assert [scene.name for scene in bare.scenes] == ["Run 1", "Run 2"]
+    assert np.allclose(along(bare, 1, 1), FALL)
 
 
 def test_a_mark_for_nothing_seen_is_a_gap(tmp_path):
