@@ -8,11 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from bsp_gp.data import arrays, gps
 from bsp_gp.data.folder import ENTITIES, TRAJECTORIES
 from bsp_gp.data.scene import CHECK, Dataset
 from bsp_gp.errors import DataError
 
-TABLES = (".csv", ".txt", ".tsv", ".dat", ".trk", ".parquet", ".pq", ".jsonl", ".ndjson")
+TABLES = (
+    ".csv", ".txt", ".tsv", ".dat", ".trk", ".parquet", ".pq", ".jsonl", ".ndjson",
+    *arrays.ENDINGS, *gps.ENDINGS,
+)  # fmt: skip
 """Endings of files that may be recordings."""
 
 _REMEDY = "files given together need the same columns and units; convert it, or leave it out"
