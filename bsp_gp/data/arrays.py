@@ -4,8 +4,6 @@ import csv
 import io
 
 import numpy as np
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
 from bsp_gp.errors import DataError
 
@@ -48,6 +46,8 @@ def as_table(path):
 
 
 def _variables(path):
+    from scipy.io.matlab import MatReadError, loadmat  # a tenth of a second at every start
+
     try:
         if path.suffix.lower() == ".npz":
             with np.load(path, allow_pickle=False) as found:
