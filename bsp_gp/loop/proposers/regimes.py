@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from bsp_gp.language.formula import Call, Constant, Input, Number, product
-from bsp_gp.loop.proposal import NEW, Family
+from bsp_gp.loop.proposal import NEW, PATIENT, Family
 from bsp_gp.loop.proposers.libraries import (
     Placed,
     asks_series,
@@ -66,7 +66,12 @@ class Regimes:
         stages = _stages(view, axes, span) if span and len(axes) == 1 else None
         if stages is not None and left_by(view, stages.columns) < bar:
             libraries.append(stages)
-        return family_of(self.name, view, libraries, has_waves=False)
+        family = family_of(self.name, view, libraries, has_waves=False)
+        # Where a parachute opens at a high speed rows tell little of the instant.
+        names = {place.name for place in stages.places} if stages else {""}
+        return replace(family, proposals=tuple(
+            replace(p, patience=PATIENT) if names <= set(p.starts) else p for p in family.proposals
+        ))  # fmt: skip
 
 
 def _stages(view, axes, span):
