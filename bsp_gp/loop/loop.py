@@ -403,7 +403,8 @@ class _Turn:
             if self.note_time("proposers"):
                 break
             k, n = self.run.proposers.index(proposer) + 1, len(self.run.proposers)
-            self.run.says(f"round {number}: {proposer.name} ({k} of {n})")
+            if proposers is self.run.proposers:
+                self.run.says(f"round {number}: {proposer.name} ({k} of {n})")
             if proposer in here:
                 parts.begin()
                 found[k] = _proposed(([proposer], view, self.run.clock), 0)

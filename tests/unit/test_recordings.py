@@ -1,11 +1,14 @@
 """Recordings of one body under several forces, nothing or weight declared: named at once."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from bsp_gp.loop.close import close_loop
 from bsp_gp.report.naming import describe
+from bsp_gp.units import UnitSystem
 from tests.fitted_tracks import body, dataset_of, scene_of
 
 
@@ -85,7 +88,9 @@ def test_a_swing_of_a_large_angle():
     def force(t, angle, rate):
         return -9.81 / 0.62 * np.sin(angle) - 0.08 * rate
 
-    report, found = told(recorded(force, [(1.2, 0.0)], np.arange(0.0, 12.0, 0.05), 3.5e-3))
+    data = recorded(force, [(1.2, 0.0)], np.arange(0.0, 12.0, 0.05), 3.5e-3)
+    units = UnitSystem.from_declared({"length": "rad", "time": "s"})
+    report, found = told(replace(data, units=units))
     assert forces(report) == {"force along x, as the sine of x", "drag, linear in speed"}
     assert holds(found["D"], 1.0)
 
