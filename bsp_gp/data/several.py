@@ -120,7 +120,7 @@ def _bodies_of(datasets, stems):
         len(s.times) == len(times) and np.abs(s.times - times).max() < SAME_CLOCK * step
         for s in scenes
     )
-    is_plain = not any(s.inputs or s.logs or s.first or s.velocities is not None for s in scenes)
+    is_plain = not any(s.inputs or s.first or s.velocities is not None for s in scenes)
     for names in ([s.names[0] for s in scenes], stems):
         if len(set(names)) == len(names) and all(map(_MASS.search, names)):
             return tuple(names) if is_one_clock and is_plain else ()
@@ -140,17 +140,22 @@ def _side_by_side(datasets, names, paths):
         replace(scene.entities[0], name=name) for scene, name in zip(scenes, names, strict=True)
     )
     sigma = [s.sigma for s in scenes]
+    logs = {
+        name: np.concatenate([s.logs[name] for s in scenes], axis=1)
+        for name in first.logged if all(name in s.logs for s in scenes)
+    }
     scene = replace(
         scenes[0], name=name_of_several(paths), entities=entities,
         positions=np.concatenate([s.positions for s in scenes], axis=1),
-        sigma=None if any(s is None for s in sigma) else np.concatenate(sigma, axis=1),
+        sigma=None if any(s is None for s in sigma) else np.concatenate(sigma, axis=1), logs=logs,
     )  # fmt: skip
     told = dict.fromkeys(note for dataset in datasets for note in dataset.notes)
     note = (
         f"{CHECK}files of one clock that are called after masses are bodies of one recording: "
         f"{', '.join(names)}; where they are recordings, call them otherwise"
     )
-    return replace(first, name=scene.name, scenes=(scene,), notes=(*told, note))
+    logged = {name: about for name, about in first.logged.items() if name in logs}
+    return replace(first, name=scene.name, scenes=(scene,), notes=(*told, note), logged=logged)
 
 
 def _require_alike(first, other, path, file):

@@ -242,10 +242,12 @@ def test_a_clock_that_steps_back_loses_a_row(tmp_path):
 
 def test_files_of_one_mass_each_are_bodies(tmp_path):
     for name, shift in (("mass_A", 0.0), ("mass_B", 3.0)):
-        (tmp_path / f"{name}.csv").write_text(f"t,x,y\n{rows(TIMES, TIMES + shift, FALL)}")
+        text = f"t,x,y,r\n{rows(TIMES, TIMES + shift, FALL, np.cos(9 * TIMES))}"
+        (tmp_path / f"{name}.csv").write_text(text)
     dataset = load_dataset([tmp_path / "mass_A.csv", tmp_path / "mass_B.csv"])
     assert dataset.scenes[0].names == ("mass_A", "mass_B") and len(dataset.scenes) == 1
-    (tmp_path / "mass_B.csv").write_text(f"t,x,y\n{rows(TIMES + 1, TIMES, FALL)}")
+    text = f"t,x,y,r\n{rows(TIMES + 1, TIMES, FALL, FALL)}"
+    (tmp_path / "mass_B.csv").write_text(text)
     assert len(load_dataset([tmp_path / "mass_A.csv", tmp_path / "mass_B.csv"]).scenes) == 2
 
 
