@@ -40,6 +40,9 @@ def is_of_the_sky(dataset):
 def _is_dated(scene):
     """Whether times are decimal years, or Julian dates."""
     first, last = scene.times[[0, -1]]
-    return any(
-        low <= first and last <= high and last - first > least for (low, high), least in DATED
-    )
+    return any(are_within(first, last, (span,)) and last - first > least for span, least in DATED)
+
+
+def are_within(first, last, ranges):
+    """Whether times from a first to a last one lie in one of some ranges."""
+    return any(low <= first and last <= high for low, high in ranges)

@@ -66,7 +66,8 @@ _LABELLED = re.compile(r"(.+?)[\s_.:-]+([xyz])[\s_.-]+([^\W\d]+)", re.IGNORECASE
 _BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECASE)
 
 
-_TIME_WORDS, _PLACE_WORDS, _AXIS_WORDS = map(words_for, ("time", "place", "axis"))
+_TIME_WORDS, _PLACE_WORDS = words_for("time"), words_for("place")
+_AXIS_WORDS = words_for("axis")
 """Beside a symbol: ``x-Richtung``."""
 _MAP_WORDS = word_set("northing hochwert")
 _UPRIGHT_WORDS = words_for("upright")

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.conversion import is_unit, unit_of
-from bsp_gp.data.extent import JULIAN, YEARS
+from bsp_gp.data.extent import JULIAN, YEARS, are_within
 from bsp_gp.data.headings import (
     RADIAL_WORDS,
     is_acceleration,
@@ -73,8 +73,7 @@ def _refuse_stars(table, found):
     theirs = [table.theirs.get(n, table.unused.get(n, n)) for n in found.values()]
     times = numbers_of(table, "t") if "t" in table.frame else np.array([])
     ends = (np.fmin.reduce(times), np.fmax.reduce(times)) if len(times) else (0.0, 0.0)
-    is_dated = any(low <= ends[0] and ends[1] <= high for low, high in DATES)
-    if is_dated and any(_words(text) & RADIAL_WORDS for text in theirs):
+    if are_within(*ends, DATES) and any(_words(text) & RADIAL_WORDS for text in theirs):
         raise DataError(
             f"there are no places, and {theirs[0]!r} are velocities along the line of sight: no "
             "orbits are sought in them alone", file=table.file, column=theirs[0],

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from bsp_gp.data import arrays, gps
 from bsp_gp.data.headings import is_run
+from bsp_gp.data.notes import listed
 from bsp_gp.data.preambles import HEADS, without_preamble
 from bsp_gp.data.records import ENDINGS as RECORDS
 from bsp_gp.data.records import as_table
@@ -125,20 +126,22 @@ def open_source(path, names=()):
     if path.suffix.lower() in _WORKBOOKS:
         return _workbook(path)
     if path.suffix.lower() in arrays.ENDINGS:
-        text, notes = arrays.as_table(path)
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        return Source(path, digest, _counts(text), text=text, notes=notes)
+        return _made(Source(path, digest, {}), *arrays.as_table(path))
     source = _text_file(path, names)
     if path.suffix.lower() in gps.ENDINGS:
         with source.open() as stream:
-            text, notes = gps.of_xml(stream.read(), path)
-        return replace(source, text=text, counts=_counts(text), notes=(*source.notes, *notes))
+            return _made(source, *gps.of_xml(stream.read(), path))
     if path.suffix.lower() in RECORDS or _begins_as_records(source):
         with source.open() as stream:
-            text = as_table(stream.read(), path)
-        _require_rows(path, text.count("\n"))
-        return replace(source, text=text, counts=_counts(text))
+            return _made(source, as_table(stream.read(), path))
     return source
+
+
+def _made(source, text, notes=()):
+    """A source with the table that was made of it, and notes of that."""
+    _require_rows(source.path, text.count("\n"))
+    return replace(source, text=text, counts=_counts(text), notes=(*source.notes, *notes))
 
 
 def _begins_as_records(source):
@@ -328,7 +331,7 @@ def _workbook(path):
     csv.writer(out, delimiter="\t", lineterminator="\n").writerows(rows)
     text = out.getvalue()
     unread = [title for title in filled if title not in (alike or filled[:1])]
-    told = f"{', '.join(map(repr, unread[:8]))}{' ...' if len(unread) > 8 else ''}"
+    told = listed(list(map(repr, unread)))
     notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {told}",) if unread else ()
     if len(alike) > 1:
         more = f", not {told}" if unread else ""

@@ -18,6 +18,7 @@ from scipy.sparse.linalg import spsolve
 from bsp_gp.data.point_errors import gross_errors
 from bsp_gp.data.roster import fail_at, numbers_of
 from bsp_gp.data.scene import SUMS
+from bsp_gp.data.twice import MOST_SLIPS
 from bsp_gp.errors import DataError
 
 VELOCITIES, ACCELERATIONS = SUMS
@@ -31,8 +32,6 @@ NEIGHBOURS = 15
 CURVED = 0.1
 """Part of the error of a row up to which its value is taken as the mean over its time."""
 LEAST_ROWS, LISTED = 4, 5
-MOST_AGAIN = 0.01
-"""Part of the rows that may have a time that was: a logger's slip."""
 COARSEST, COARSE = 5.0, 0.25
 """Quoted errors that half of the values may be off the line between their neighbours, if all are
 off by more than such a part of how much they vary."""
@@ -134,7 +133,7 @@ def _pieces(table, times, values, rates):
     for rows in groups.values():
         rows = rows[good[rows]]
         again = rows[1:][times[rows[1:]] <= np.fmax.accumulate(times[rows])[:-1]]
-        if 0 < len(again) <= max(MOST_AGAIN * len(rows), 1):
+        if 0 < len(again) <= max(MOST_SLIPS * len(rows), 1):
             good[again], twice = False, [*twice, *table.frame.index[again].tolist()]
             rows = rows[good[rows]]
         back = np.flatnonzero(np.diff(times[rows]) <= 0)

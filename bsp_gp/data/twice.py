@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.extent import JULIAN, YEARS
+from bsp_gp.data.extent import JULIAN, YEARS, are_within
 from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK
 
@@ -141,17 +141,16 @@ def measures_at_once(rows):
 
 
 def _observed_at_once(rows):
-    """Of what is dated, rows in which a few neighbours without errors are their plain mean."""
-    is_dated = any(low <= rows.times.min() and rows.times.max() <= high for low, high in
-                   (YEARS, JULIAN))  # fmt: skip
+    """Of what is dated, rows in which a few neighbours without errors are their median."""
+    is_dated = are_within(rows.times.min(), rows.times.max(), (YEARS, JULIAN))
     again = np.all([np.diff(v) == 0 for v in (rows.scene, rows.entity, rows.times)], axis=0)
     if not is_dated or not again.any() or again.sum() > FEW * len(again):
         return rows, ()
     starts = np.flatnonzero(np.append(True, ~again))
     counts = np.diff(np.append(starts, len(rows.times)))
     way = np.fmax.reduce(rows.positions) - np.fmin.reduce(rows.positions)
-    means = np.array([np.median(own, axis=0) for own in np.split(rows.positions, starts[1:])])
-    off = np.abs(rows.positions - np.repeat(means, counts, axis=0))
+    middles = np.array([np.median(own, axis=0) for own in np.split(rows.positions, starts[1:])])
+    off = np.abs(rows.positions - np.repeat(middles, counts, axis=0))
     is_far = (off > NEAR / 2 * way).any(axis=1)
     if (2 * np.add.reduceat(is_far, starts) >= counts).any():
         return rows, ()
@@ -160,4 +159,4 @@ def _observed_at_once(rows):
         f"{len(lines)} row(s) have the date of the row before (line {listed(lines, LISTED)}): "
         "they are one observation, the median"
     )
-    return replace(_taken(rows, starts), positions=means), (note,)
+    return replace(_taken(rows, starts), positions=middles), (note,)
