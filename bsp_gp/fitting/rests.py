@@ -21,6 +21,8 @@ LEAST_ROWS, LEAST_MOVING, MOST_STILL = 5, 10, 0.75
 """Rows that stand still at an end, rows that are left, and part of a track that may stand still."""
 STILL = 3.0
 """Standard deviations by which the scatter of rows that stand still may pass what is expected."""
+NEAR = 0.01
+"""Part of the extent of a track within which a body stands still, whatever the noise of its rows."""
 BESIDE = 2
 """Rows about the last that stands still, in which a body may already move."""
 HELD, CHANCE = 4.0, 1e-6
@@ -54,19 +56,51 @@ def without_rests(dataset, law):
     if not any(map(sum, ends.values())):
         return dataset
     held = _held(dataset, law, ends)
-    if not held:
-        return dataset
-    scenes, told = [], []
-    for scene in dataset.scenes:
-        head, tail = (n * ((scene.name, k) in held) for k, n in enumerate(ends[scene.name]))
-        if head or tail:
-            told.append(f"{head} before and {tail} after in {scene.name!r}")
-        scenes.append(scene.rows(head, len(scene.times) - tail) if head or tail else scene)
+    ends = {
+        name: [n * ((name, k) in held) for k, n in enumerate(own)] for name, own in ends.items()
+    }
     note = (
         f"{CHECK}the body stands still where the law would move it, before the motion or after: it "
-        f"is held or lies on something, and these rows are left out ({listed(told)})"
+        "is held or lies on something, and these rows are left out ({})"
     )
-    return replace(dataset, scenes=tuple(scenes), notes=(*dataset.notes, note))
+    return _without(dataset, ends, note)
+
+
+def without_still_ends(dataset):
+    """The data set without rows at which bodies stand still before they move, or after, with a note.
+
+    Whatever law is declared: of bodies that bounce, which begin in somebody's hand and end on the
+    floor.
+
+    Returns
+    -------
+    Dataset
+        The same one where there is no such row.
+    """
+    if not may_lose_ends(dataset):
+        return dataset
+    levels = np.array(estimate_noise(dataset).sigma)
+    ends = {scene.name: _still_ends(scene, levels) for scene in dataset.scenes}
+    note = (
+        f"{CHECK}the body stands still before it moves, or after: it is held or lies on something, "
+        "and these rows are left out ({})"
+    )
+    return _without(dataset, ends, note)
+
+
+def _without(dataset, ends, note):
+    """The data set without so many rows at both ends of scenes, and with a note that lists them."""
+    scenes, told = [], []
+    for scene in dataset.scenes:
+        head, tail = ends[scene.name]
+        if head or tail:
+            told.append(f"{head} before and {tail} after in {scene.name!r}")
+            scene = scene.rows(head, len(scene.times) - tail)
+        scenes.append(scene)
+    if not told:
+        return dataset
+    notes = (*dataset.notes, note.format(listed(told)))
+    return replace(dataset, scenes=tuple(scenes), notes=notes)
 
 
 def may_lose_ends(dataset):
@@ -120,16 +154,29 @@ def _still_ends(scene, levels):
 
 
 def _n_still(times, places):
-    """Rows from the first on that stand still and do not go over smoothly into the others."""
-    n = still_rows(places)
+    """Rows from the first on that stand still and do not go over smoothly into the others.
+
+    What stands still may be told worse than what moves, and the very first row may be off: whoever
+    tracks by hand begins somewhere.
+    """
+    off = int(_n_near(places) < LEAST_ROWS)
+    times, places = times[off:], places[off:]
+    n = max(still_rows(places), _n_near(places))
     if not LEAST_ROWS <= n < len(places):
         return 0
     near = slice(0, min(2 * n, len(places)))
     t = (times[near] - times[0]) / np.ptp(times[near])
-    left = places[near] - _smooth(t, places[near])
+    left = (places[near] - _smooth(t, places[near])) / np.maximum(places[:n].std(axis=0), 1.0)
     dof = max(left.size - 3 * left.shape[1], 1)
     is_broken = stats.chi2.sf(np.square(left).sum(), dof) < CHANCE
-    return min(n + BESIDE, len(places)) if is_broken else 0
+    return off + min(n + BESIDE, len(places)) if is_broken else 0
+
+
+def _n_near(places):
+    """Rows from the first on that are near it beside the way of all."""
+    away = np.linalg.norm(places - places[0], axis=1)
+    far = np.flatnonzero(away > NEAR * np.linalg.norm(np.ptp(places, axis=0)))
+    return int(far[0]) if len(far) else len(places)
 
 
 def _smooth(t, places):

@@ -1,10 +1,11 @@
 """Where fits begin: nodes read off the data, and constants of the size that the data suggest."""
 
+import math
 from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from bsp_gp.fitting.coordinates import powers_of
 from bsp_gp.language.formula import Call, Constant, Input, walk
@@ -44,13 +45,25 @@ def first_nodes(chains, is_coarse=False):
                 seen = np.flatnonzero(np.isfinite(x))
                 if not len(seen):
                     continue
-                place = x if len(seen) == n else np.interp(times, times[seen], x[seen])
-                nodes[0, r, k, :n, s] = place
-                nodes[1, r, k, :n, s] = _slope(times, place, is_coarse)
+                nodes[:, r, k, :n, s] = _states(times, x, seen, is_coarse)
     if chains.velocities is not None:
         measured = np.moveaxis(chains.velocities, (0, 1), (-2, -1))
         nodes[1] = np.where(np.isfinite(measured), measured, nodes[1])
     return nodes
+
+
+def _states(times, x, seen, is_coarse):
+    """Places and velocities at all rows of a coordinate that some show, (2, T)."""
+    place, speed = x[seen], _slope(times[seen], x[seen], is_coarse)
+    if len(seen) == len(x):
+        return place, speed
+    states = np.stack([np.interp(times, times[seen], v) for v in (place, speed)])
+    between = (times >= times[seen[0]]) & (times <= times[seen[-1]])
+    if len(seen) > 1:
+        curve = CubicHermiteSpline(times[seen], place, speed)
+        states[:, between] = curve(times[between]), curve(times[between], 1)
+    states[1, ~between] = 0.0
+    return states
 
 
 def stepped_nodes(chains, nodes):
@@ -137,7 +150,7 @@ def scales_of(groups, noises):
     noises : sequence of ChainNoise
         Rows' variances.
     """
-    span, step, extent = 0.0, np.inf, 0.0
+    span, step, extent, sparse = 0.0, np.inf, 0.0, 1.0
     for chains in groups:
         for s in range(chains.n_chains):
             times = chains.times[: chains.lengths[s], s]
@@ -146,35 +159,55 @@ def scales_of(groups, noises):
         # A body may be seen in no row at all, and then has no extent.
         spread = np.fmax.reduce(chains.observed) - np.fmin.reduce(chains.observed)
         extent = float(np.fmax(extent, np.fmax.reduce(spread, axis=None)))
+        count = np.isfinite(chains.observed).sum(axis=0)
+        per_row = chains.lengths[:, None, None] / np.maximum(count, 1)
+        sparse = max(sparse, float(np.median(per_row[count > 0]))) if count.any() else sparse
     best, rows = 0.0, 0
     longest = max(int(chains.lengths.max()) for chains in groups)
+    seen = [_seen(chains, noise) for chains, noise in zip(groups, noises, strict=True)]
     size = 3
     while size <= longest:
-        signal, noise = _curvatures(groups, noises, size)
+        signal, noise = _curvatures(seen, size)
         if signal > SIGNAL * noise:
-            rows = rows or size
+            rows = rows or math.ceil(sparse * size)  # each body may be seen in few of all rows
             best = max(best, signal - noise)
         size = size + 1 if size < 6 else int(size * 1.5)
     if not best:
         best = (extent / span**2) ** 2
     return Scales(
-        float(np.sqrt(best)), rows or longest, span, step, extent or 1.0, _turn(groups, noises)
+        float(np.sqrt(best)), rows or longest, span, step, extent or 1.0, _turn(seen)
     )
 
 
-def _turn(groups, noises):
+def _seen(chains, noise):
+    """Times, places and variances of rows in which a coordinate is seen, first; (T, S, R, d) each.
+
+    Behind them nan. Bodies may each be seen at times of its own; where none is, times are one for
+    all coordinates, (T, S, 1, 1).
+    """
+    x, times = chains.observed, chains.times[:, :, None, None]
+    is_seen = np.isfinite(x)
+    if not (np.diff(is_seen.astype(np.int8), axis=0) > 0).any():
+        return times, x, noise.variance
+    order = np.argsort(~is_seen, axis=0, kind="stable")
+    all_rows = (np.broadcast_to(v, x.shape) for v in (is_seen, times, x, noise.variance))
+    is_seen, *first = (np.take_along_axis(v, order, axis=0) for v in all_rows)
+    return tuple(np.where(is_seen, v, np.nan) for v in first)
+
+
+def _turn(seen):
     """Typical change of the velocity from row to row, in velocities, without what noise makes.
 
     Medians of squares: a few rows that are far off would make any motion a wild one.
     """
     changes, sizes = [], []
-    for chains, noise in zip(groups, noises, strict=True):
+    for times, x, variance in seen:
         with np.errstate(invalid="ignore"):
-            steps = np.diff(chains.times, axis=0)[..., None, None]
-            v = np.diff(chains.observed, axis=0) / steps
-            error = (noise.variance[1:] + noise.variance[:-1]) / steps**2
+            steps = np.diff(times, axis=0)
+            v = np.diff(x, axis=0) / steps
+            error = (variance[1:] + variance[:-1]) / steps**2
             # The row between two velocities makes both wrong, one way and the other.
-            common = noise.variance[1:-1] / (steps[1:] * steps[:-1])
+            common = variance[1:-1] / (steps[1:] * steps[:-1])
             turned = np.square(np.diff(v, axis=0)) - error[1:] - error[:-1] - 2 * common
         changes.append(turned.sum(axis=-1).ravel())
         sizes.append((np.square(v) - error).sum(axis=-1).ravel())
@@ -185,29 +218,27 @@ def _turn(groups, noises):
     return float(np.sqrt(max(np.median(change), 0.0) / np.median(size)))
 
 
-def _curvatures(groups, noises, size):
+def _curvatures(seen, size):
     """Mean square of second derivatives over pieces of so many rows, and what noise makes of it."""
     total = expected = count = 0.0
-    for chains, noise in zip(groups, noises, strict=True):
-        starts = range(0, chains.times.shape[0] - size + 1, max(size // 2, 1))
+    for when, where, variances in seen:
+        starts = range(0, when.shape[0] - size + 1, max(size // 2, 1))
         if not len(starts):
             continue
         rows = np.array(starts)[:, None] + np.arange(size)
-        times = chains.times[rows]  # (P, size, S)
+        times = when[rows]  # (P, size, S, R, d)
         centre = times.mean(axis=1, keepdims=True)
         width = np.ptp(times, axis=1, keepdims=True)
-        u = np.moveaxis((times - centre) / width, 1, -1)  # (P, S, size)
-        whole = np.isfinite(u).all(axis=-1)
+        u = np.moveaxis((times - centre) / width, 1, -1)
+        whole = np.isfinite(u).all(axis=-1)  # (P, S, R, d)
         u = np.where(whole[..., None], u, np.linspace(-0.5, 0.5, size))
         basis, triangle = np.linalg.qr(np.stack([np.ones_like(u), u, u * u], axis=-1))
         weight = basis[..., 2] / triangle[..., 2, 2, None]  # of the coefficient of u^2
         width = np.where(whole, width[:, 0], 1.0)
-        x = np.moveaxis(chains.observed[rows], 1, -1)  # (P, S, R, d, size)
-        variance = np.moveaxis(noise.variance[rows], 1, -1)
-        w = weight[:, :, None, None]
-        value = 2.0 * (w * x).sum(axis=-1) / width[..., None, None] ** 2
-        error = 4.0 * (w * w * variance).sum(axis=-1) / width[..., None, None] ** 4
-        good = np.isfinite(value) & np.isfinite(error) & whole[..., None, None]
+        x, variance = (np.moveaxis(v[rows], 1, -1) for v in (where, variances))
+        value = 2.0 * (weight * x).sum(axis=-1) / width**2
+        error = 4.0 * (weight * weight * variance).sum(axis=-1) / width**4
+        good = np.isfinite(value) & np.isfinite(error) & whole
         total += float(np.square(value[good]).sum())
         expected += float(error[good].sum())
         count += int(good.sum())

@@ -23,6 +23,8 @@ FEWEST_SCENES = 5
 """That are resampled."""
 N_RESAMPLES = 999
 TAIL = 0.05
+RARE = 0.01
+"""Part of the copies whose errors are larger than what noise is said to make at the most."""
 FLOOR_SCENES = 20
 """Copied scenes behind a floor, at least."""
 MOST_POINTS, FEWEST_COPIES = 200_000, 3
@@ -72,7 +74,7 @@ class Accounts:
     def __init__(self, fits, dataset, scenes, rng, n_copies=40, crew=None, kept=None):
         self._crew = crew or Crew()
         self.fits, self.dataset, self.scenes = fits, dataset, tuple(scenes)
-        self._copies_rng, picks_rng = rng.spawn(2)
+        self._copies_rng, picks_rng, self._mixed_rng = rng.spawn(3)
         self.rows = self._rows(fits, {} if kept is None else kept)
         n = len(self.scenes)
         self.is_parametric = n < FEWEST_SCENES
@@ -127,6 +129,21 @@ class Accounts:
         """The same metrics under the last law with its noise, an `Errors`."""
         copies = self._copied_rows[-1]
         return errors_of([row for copy in copies for row in copy], self.dataset.units)
+
+    @cached_property
+    def noisiest(self):
+        """Position error of the last law's predictions that noise exceeds in a hundredth, metres.
+
+        Of copies of every scene any is as likely as another, whatever the others are.
+        """
+        field, told_by, error = ERRORS["rollout_rmse"]
+        told = [[told_by(row[field]) for row in copy] for copy in self._copied_rows[-1]]
+        if not told:
+            return math.nan
+        picks = self._mixed_rng.integers(len(told), size=(N_RESAMPLES, len(self.scenes)))
+        with np.errstate(all="ignore"):
+            draws = [error([told[c][s] for s, c in enumerate(pick)]) for pick in picks]
+        return float(np.nanquantile(draws, 1 - RARE))
 
     def ratio(self, before, after, metric="rollout_rmse"):
         """Error of one fit divided by that of another, a `Ratio`."""

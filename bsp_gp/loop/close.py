@@ -32,7 +32,7 @@ from bsp_gp.fitting.law_fit import (
 )
 from bsp_gp.fitting.parts.latents import unknown_properties
 from bsp_gp.fitting.parts.rails import rail_of
-from bsp_gp.fitting.rests import without_rests
+from bsp_gp.fitting.rests import without_rests, without_still_ends
 from bsp_gp.fitting.unseen import without_unseen
 from bsp_gp.inference.latents import declared_latents
 from bsp_gp.language.grammar import Grammar, load_grammar
@@ -273,6 +273,10 @@ def _in_parts(ready, begun, declared, rng, how, criteria):
     if not lacks(begun, ready.noise.sigma):
         return whole
     if bounce(ready.dataset):
+        dataset = without_still_ends(ready.dataset)
+        if dataset is not ready.dataset:
+            ready = _Ready(dataset, declared, rng)
+            whole = ready, ready.begin(*how)
         flights = in_flights(ready.dataset) if bounce_oddly(ready.dataset) else None
         if flights is None:
             return whole
@@ -493,6 +497,7 @@ def _written(
     at = {id(f): k for k, (f, _) in enumerate(scored)}
     doubt = writing_up.doubt_of_periods(rounds, pruned.removed)
     doubt = doubt or writing_up.doubt_of_sources(rounds, pruned.removed)
+    doubt = doubt or writing_up.doubt_of_bounds(rounds, pruned.removed)
     doubt = "many_causes" if writing_up.is_many(rounds, pruned.removed) else doubt
     may_ask = last is not first and not is_late and ready.has_more and not ready.is_swapped
     if may_ask and not doubt:

@@ -252,13 +252,14 @@ def _refused(done, reason):
 def _is_surely_worse(accounts):
     """Whether a ratio of errors is above 1 at that level, or notably and at that of its interval.
 
-    Not where the last error is no more than what noise makes of the predictions of any law. Where
-    few scenes are held out, and the law cannot follow them from any state, it is.
+    Not where the last error is one that noise makes of the predictions of any law: of what it is on
+    a few held-out scenes, some is taken for a misfit that the next ones would show. Where few are
+    held out, and the law cannot follow them from any state, it is.
     """
-    ratio, floor = accounts.ratio(0, 1), accounts.floor.rollout_rmse
+    ratio = accounts.ratio(0, 1)
     if accounts.is_parametric and not accounts.copies:
         return True
-    if accounts.errors(1).rollout_rmse <= floor:
+    if accounts.errors(1).rollout_rmse <= accounts.noisiest:
         return False
     if not (math.isfinite(ratio.low) and ratio.low > 0):
         return False

@@ -40,7 +40,7 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
-    "likelier_refused",
+    "likelier_refused", "at_bound",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 FEWEST_PERIODS = 2
@@ -170,6 +170,34 @@ def doubt_of_sources(rounds, removed):
                 k = found.parameters.index((part.strength, ""))
                 if abs(found.values[k]) < Z_90 * found.errors[k]:
                     return "not_placed"
+    return ""
+
+
+def doubt_of_bounds(rounds, removed):
+    """Why the form of a force that rounds have added is none for sure; "" where nothing says so.
+
+    A constant inside it that ends at its bound, a threshold at the end of the tracks, says that
+    another form is asked for.
+
+    Parameters
+    ----------
+    removed : collection of int
+        Numbers of rounds whose causes were taken back.
+    """
+    for r in rounds:
+        best = r.decision.best
+        if not r.decision.is_adopted or r.number in removed or best.kind != "force":
+            continue
+        if r.fits[best.id].status != "at_bound":
+            continue
+        found = r.fits[best.id]
+        bounds = {p.name: (p.low, p.high) for p in r.hypotheses[best.id].parameters}
+        for formula in _new(found, r.entering):
+            multiplier, _ = split_linear(formula)
+            for name in (n for n in formula.constants if n in bounds and n != multiplier):
+                low, high = bounds[name]
+                if not low < found.law.constants[name] < high:
+                    return "at_bound"
     return ""
 
 

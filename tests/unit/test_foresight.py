@@ -155,11 +155,11 @@ def test_a_law_that_held_out_scenes_do_not_follow_is_refuted(world):
     assert not asked_of(other, laws, n_copies=0)  # without a floor nothing is said
 
 
-def accounts_of(ratio, error, floor, copies=("copy",), is_parametric=True):
+def accounts_of(ratio, error, noisiest, copies=("copy",), is_parametric=True):
     """What `_is_surely_worse` asks of accounts."""
     return SimpleNamespace(
         copies=copies, is_parametric=is_parametric,
-        ratio=lambda before, after: ratio, floor=SimpleNamespace(rollout_rmse=floor),
+        ratio=lambda before, after: ratio, noisiest=noisiest,
         errors=lambda k: SimpleNamespace(rollout_rmse=error),
     )  # fmt: skip
 

@@ -52,6 +52,17 @@ def test_the_floor_is_that_of_a_line_through_the_first_rows():
     assert accounts.floor.rollout_rmse == pytest.approx(expected, rel=4 * 0.7 / math.sqrt(800))
 
 
+def test_one_of_a_hundred_recordings_of_a_true_law_is_noisier_than_the_noisiest():
+    """Three of 34 true frictions were refused: what noise had made of three tracks was a misfit."""
+    noisiest = accounts_of(3, ["0 [N] * e_x"], n_copies=100).noisiest
+    errors = [
+        accounts_of(3, ["0 [N] * e_x"], seed=seed, n_copies=0).errors(0).rollout_rmse
+        for seed in range(2, 202)
+    ]
+    assert np.mean(np.array(errors) > noisiest) < 0.01 + 3 * math.sqrt(0.01 / 200)
+    assert noisiest > np.median(errors)
+
+
 def test_an_error_that_is_half_of_another_has_the_ratio_one_half():
     accounts = accounts_of(6, ["0 [N] * e_x"], ["0 [N] * e_y"])
     assert not accounts.is_parametric
