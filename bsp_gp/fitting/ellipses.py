@@ -81,14 +81,18 @@ class Ellipse:
         return seen[:, None]
 
 
-def ellipse_of(times, places, errors):
+def ellipse_of(times, places, errors, focus=None):
     """The ellipse nearest to places at some times; None where these are too few.
 
     Parameters
     ----------
     times : ndarray, shape (T,)
     places, errors : ndarray, shape (T, 2)
+    focus : ndarray, shape (2,), m, optional
+        Where it is seen; sought as well where that is not known.
     """
+    if focus is not None:
+        places = places - focus
     if len(times) < FEWEST or not np.ptp(times) > 0:
         return None
     span, first = float(np.ptp(times)), float(times.min())
@@ -97,12 +101,12 @@ def ellipse_of(times, places, errors):
     starts = np.array(list(product(np.log(periods), ECCENTRICITIES, phases)))
     some = np.linspace(0, len(times) - 1, min(len(times), MOST_LOOKED_AT)).astype(int)
     sizes = np.concatenate([
-        _sizes(own, times[some] - first, places[some], errors[some])
+        _sizes(own, times[some] - first, places[some], errors[some], focus is None)
         for own in np.split(starts, N_PERIODS)
     ])  # fmt: skip
 
     def left(numbers):
-        return _linear(numbers, times - first, places, errors)[0]
+        return _linear(numbers, times - first, places, errors, focus is None)[0]
 
     low, high = [math.log(periods[0] / 2), 0.0, -2.0], [math.log(2 * periods[-1]), HIGHEST, 3.0]
     found = [
@@ -112,7 +116,8 @@ def ellipse_of(times, places, errors):
     best = min(found, key=lambda one: one.cost)
     log_period, eccentricity, phase = map(float, best.x)
     period = math.exp(log_period)
-    _, focus, picture = _linear(best.x, times - first, places, errors)
+    _, found_at, picture = _linear(best.x, times - first, places, errors, focus is None)
+    focus = found_at if focus is None else focus
     if not np.linalg.norm(picture) > 0:
         return None
     closest = first + phase * period
@@ -120,27 +125,32 @@ def ellipse_of(times, places, errors):
     return Ellipse(period, closest, eccentricity, focus, picture, 2 * float(best.cost))
 
 
-def _sizes(starts, times, places, errors):
+def _sizes(starts, times, places, errors, is_free):
     """Chi-squared of the best ellipses at many starts (n, 3), (n,)."""
-    columns = _columns(*starts.T[:, :, None], times)  # (n, T, 3)
+    columns = _columns(*starts.T[:, :, None], times)[..., not is_free :]  # (n, T, 3)
     weighted = columns[:, None] / errors.T[..., None]  # (n, 2, T, 3)
     target = (places / errors).T  # (2, T)
     along = np.einsum("nats,at->nas", weighted, target)
     gram = np.einsum("nats,natu->nasu", weighted, weighted)
     scale = np.trace(gram, axis1=2, axis2=3)[..., None, None]
-    amounts = np.linalg.solve(gram + ROUNDING * scale * np.eye(3), along[..., None])[..., 0]
+    floor = ROUNDING * scale * np.eye(gram.shape[-1])
+    amounts = np.linalg.solve(gram + floor, along[..., None])[..., 0]
     return np.square(target).sum() - (along * amounts).sum(axis=(1, 2))
 
 
-def _linear(numbers, times, places, errors):
-    """What is left in errors, where the focus is seen, and the picture of the orbit (2, 2)."""
-    columns = _columns(*numbers, times)
+def _linear(numbers, times, places, errors, is_free):
+    """What is left in errors, where the focus is seen, and the picture of the orbit (2, 2).
+
+    The focus is at the origin where it is not free.
+    """
+    columns = _columns(*numbers, times)[..., not is_free :]
     weighted = columns[None] / errors.T[..., None]  # (2, T, 3)
     amounts = np.stack([
         np.linalg.lstsq(own, x, rcond=1e-10)[0]
         for own, x in zip(weighted, (places / errors).T, strict=True)
     ])  # fmt: skip
-    return ((columns @ amounts.T - places) / errors).ravel(), amounts[:, 0], amounts[:, 1:]
+    left = ((columns @ amounts.T - places) / errors).ravel()
+    return (left, amounts[:, 0], amounts[:, 1:]) if is_free else (left, np.zeros(2), amounts)
 
 
 def _columns(log_period, eccentricity, phase, times):

@@ -22,7 +22,7 @@ LEAST_ROWS, LEAST_MOVING, MOST_STILL = 5, 10, 0.75
 STILL = 3.0
 """Standard deviations by which the scatter of rows that stand still may pass what is expected."""
 NEAR = 0.01
-"""Part of the extent of a track within which a body stands still, whatever the noise of its rows."""
+"""Part of the extent of a track within which a body stands still, whatever noise its rows have."""
 BESIDE = 2
 """Rows about the last that stands still, in which a body may already move."""
 HELD, CHANCE = 4.0, 1e-6
@@ -67,10 +67,10 @@ def without_rests(dataset, law):
 
 
 def without_still_ends(dataset):
-    """The data set without rows at which bodies stand still before they move, or after, with a note.
+    """The data set without rows at which bodies stand still before they move, or after.
 
-    Whatever law is declared: of bodies that bounce, which begin in somebody's hand and end on the
-    floor.
+    Whatever law is declared, and with a note: of bodies that bounce, which begin in somebody's hand
+    and end on the floor.
 
     Returns
     -------

@@ -82,7 +82,8 @@ REASONS = {
     "many_causes": "it takes many causes to describe these tracks, rather than one of another form",
     "not_placed": "its strength may be nothing, and it may be anywhere: other pushes that change "
     "from place to place do as well",
-    "at_bound": "a constant inside it ends at the bound of what it may be: another form is asked for",
+    "at_bound": "a constant inside it ends at the bound of what it may be: another form is asked "
+    "for",
     "few_periods": "no recording is as long as two of its periods: it was not seen to come back",
     "own_period": "its period is about that of the swing itself, or a part of it: whatever the law "
     "lacks otherwise looks like that",

@@ -421,6 +421,9 @@ def _phrase(direction, condition, powers, value, is_loose=False):
     text = to_text(direction) if direction is not None else ""
     if "p_j - p_i" in text:  # the same line, the other way
         text, value = text.replace("p_j - p_i", "p_i - p_j"), None if value is None else -value
+    if text == "p_i - p_j":
+        length = "norm(p_i - p_j)"
+        text, powers = f"normalize({text})", powers | {length: powers.get(length, 0) + 1}
     where = ""
     if condition is not None:
         where = " while on the mat" if "is_on" in to_text(condition) else " at contact"

@@ -243,15 +243,18 @@ def _name(effect, parts, other):
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
-        inside = split_linear(effect.formula)[1].constants  # of these none tells the way
-        strengths = (c for c in effect.constants if c.name not in inside)
+        every, inside = effect.formula.constants, split_linear(effect.formula)[1].constants
+        # Of those inside, and of a plane beside it, none tells the way.
+        strengths = (c for c in effect.constants if c.name in every and c.name not in inside)
         values = [c.value for c in strengths if is_number(c.value)]
         is_one_way = bool(values) and (min(values) > 0 or max(values) < 0)
         value = values[0] if is_one_way or len(values) == 1 else None
         phrase = describe(effect.formula, value, other, effect.exponents)
         phrase += period(effect) if effect.code == "period" else ""
         own = OWN_STRENGTHS.get(effect.code)
-        return f"{phrase}, {own}" if own else phrase
+        phrase = f"{phrase}, {own}" if own else phrase
+        is_aslant = any(c.name == "inclination" for c in effect.constants)
+        return f"{phrase}, and {inclination(effect)}" if is_aslant else phrase
     if effect.code in ("rod", "wire"):
         return {"rod": constant_distance, "wire": kept_curve}[effect.code](effect)
     return CAUSES.get(effect.code, effect.name)

@@ -9,6 +9,7 @@ import bsp_gp
 from bsp_gp import close_loop
 from bsp_gp.data.scene import Entity
 from bsp_gp.loop.proposers.centres import strength_of
+from bsp_gp.report.page import page_of
 
 AU, YEAR = 1.495978707e11, 3.15576e7
 SUN = 4 * np.pi**2  # au^3/yr^2
@@ -54,3 +55,37 @@ def test_an_asteroid_goes_round_the_sun_whatever_else_pulls_it():
     strength = next(c for c in report.constants if c.name == "c1")
     assert -strength.value == pytest.approx(SUN * AU**3 / YEAR**2, rel=2e-3)
     assert report.total["ratio"].value < 1e-2
+
+
+def double_star(seed=5, n=30, part=0.6, noise=0.01, slope=1.2):
+    """Offsets of a companion from its primary, arcsec, in an orbit seen aslant, and its strength."""
+    rng = np.random.default_rng(seed)
+    period, axis, flat, node, periastron = 120.0, 1.2, 0.4, 0.9, 2.0
+    times = np.sort(rng.uniform(0, part * period, n))
+    mean = 2 * np.pi * times / period + 1.0
+    anomaly = mean.copy()
+    for _ in range(60):
+        anomaly = mean + flat * np.sin(anomaly)
+    along, across = np.cos(anomaly) - flat, np.sqrt(1 - flat**2) * np.sin(anomaly)
+    turned = np.exp(1j * periastron) * (along + 1j * across)
+    seen = np.exp(1j * node) * (turned.real + 1j * np.cos(slope) * turned.imag)
+    places = axis * (np.stack([seen.real, seen.imag], axis=1) + noise * rng.normal(size=(n, 2)))
+    frame = pd.DataFrame({"t": times, "entity": "companion", "x": places[:, 0], "y": places[:, 1]})
+    data = bsp_gp.Dataset.from_frames(
+        pd.concat([frame, frame.assign(entity="primary", x=0.0, y=0.0)], ignore_index=True),
+        [Entity("companion"), Entity("primary", is_static=True)],
+        units={"length": "arcsec", "time": "yr"},
+    )  # fmt: skip
+    return data, 4 * np.pi**2 * axis**3 / period**2, slope
+
+
+def test_a_double_star_is_gravity_in_a_plane_that_is_inclined():
+    """An unseen body, four forces along the line, or nothing had been told of three in nine."""
+    data, strength, slope = double_star()
+    report = close_loop(data, "nothing", rng=1, n_bootstrap=0)
+    known = {c.name: c for c in report.constants}
+    assert report.rounds[0].adopted
+    assert "inverse(norm(p_i - p_j)^2)" in report.rounds[0].effect.name
+    assert known["inclination"].value == pytest.approx(slope, abs=0.03)
+    assert -known["c1"].value * YEAR**2 == pytest.approx(strength, rel=0.05)
+    assert "inclined to the sky" in page_of(report).rounds[0].effect.name

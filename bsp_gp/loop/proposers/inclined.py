@@ -63,11 +63,16 @@ def _proposal(view, plane, gain, **more):
     )  # fmt: skip
 
 
-def lone_orbit(view):
+def lone_orbit(view, focus=None):
     """The ellipse nearest to the places of a lone body of one recording; None if there is none.
 
     Moments along tracks that are far off tell little of an orbit that turns round, or is seen
     nearly edge on.
+
+    Parameters
+    ----------
+    focus : ndarray, shape (2,), m, optional
+        What it goes round, where that is seen.
     """
     scene, *others = view.dataset.scenes
     if others or len(scene.dynamic) != 1:
@@ -78,7 +83,7 @@ def lone_orbit(view):
         quoted = scene.sigma[:, scene.dynamic[0]]
         errors = np.where(np.isfinite(quoted) & (quoted > 0), quoted, errors)
     seen = np.isfinite(places).all(axis=1) & np.isfinite(errors).all(axis=1)
-    found = ellipse_of(scene.times[seen], places[seen], errors[seen])
+    found = ellipse_of(scene.times[seen], places[seen], errors[seen], focus)
     return found if found is not None and 0 < found.inclination < STEEPEST else None
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.fitting.channels import join
+from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.periodogram import longest, swing_of
 from bsp_gp.language.formula import Call, Constant, Input, rename_constants
 from bsp_gp.language.render import to_text
@@ -32,6 +33,10 @@ FEWER_TURNS = 0.75
 """Of a body beside others that swing."""
 MOST_BODIES = 12
 """That are asked whether each swings at a rate of its own."""
+ALIKE = 1.5
+"""Ratio of rates up to which two bodies may be tied to each other."""
+COUPLING = 0.05
+"""Strength of what ties them, in that of what ties each to its rest point, where a fit begins."""
 LEAST_DRAG = 1e-3
 """Part of the rate of a swing at which a drag begins that the swing does not show."""
 
@@ -57,7 +62,7 @@ class Swings:
         """The family of those laws, where bodies swing without a cause, each at a rate of its own.
 
         Of several bodies a spring alone is asked, which is of another strength for each: moons that
-        are seen from the side swing like that.
+        are seen from the side swing like that; of two, one between them as well.
         """
         scenes = view.dataset.scenes
         names = dict.fromkeys(s.names[k] for s in scenes for k in s.dynamic)
@@ -83,6 +88,9 @@ class Swings:
             proposals = tuple(_slowed(view, search, form, rates[None]) for form in forms)
         else:
             proposals = tuple(_apart(view, search, form, rates) for form in forms[:1])
+            if forms and are_coupled(rates, scenes):
+                ways = (_coupled(view, search, forms[0], rates, each) for each in (False, True))
+                proposals += tuple(ways)
         return Family(self.name, proposals, is_control=True)
 
 
@@ -138,6 +146,62 @@ def _apart(view, search, form, rates):
         hypothesis=view.hypothesis + replace(part, law=law), rank=spring.rank + len(rates) - 1,
         log_prior=spring.log_prior - view.criteria.cause_nats, ties=(),
     )  # fmt: skip
+
+
+def are_coupled(rates, scenes):
+    """Whether two bodies, the same in all scenes, swing about as fast: a spring may tie them."""
+    is_pair = len(rates) == 2 and all(len(scene.dynamic) == 2 for scene in scenes)
+    return is_pair and max(rates.values()) < ALIKE * min(rates.values())
+
+
+def _coupled(view, search, form, rates, is_apart):
+    """Springs to a rest point of each of two bodies, one between them, and a drag.
+
+    Energy goes over from one to the other and back, and each alone seems to be driven.
+
+    Parameters
+    ----------
+    is_apart : bool
+        Whether each has a stiffness, a coupling and a drag of its own: masses differ.
+    """
+    spring, dataset = _about(view, search, form), view.dataset
+    (formula,), types = spring.formulas, dataset_types(dataset)
+    strength, *centres = formula.constants
+    by = "[body]" if is_apart else ""
+    own = {name: f"{name}[body]" for name in centres}
+    formula = rename_constants(formula, {strength: strength + by, **own})
+    across, drag = (fresh_name(ForceLaw((Term(formula),), {}), stem) for stem in ("k", "d"))
+    place, other, velocity = (Input(name, types[name]) for name in ("p_i", "p_j", "v_i"))
+    terms = (
+        formula, Call("mul", Constant(across + by), Call("sub", other, place)),
+        Call("mul", Constant(drag + by), velocity),
+    )  # fmt: skip
+    mass, rate = _mass(dataset.scenes), float(np.median(list(rates.values())))
+    amounts = {
+        strength: mass * rate**2, across: COUPLING * mass * rate**2,
+        drag: -mass * max(_decay(view.fit), LEAST_DRAG * rate),
+    }  # fmt: skip
+    constants = {
+        name + by: dict.fromkeys(rates, value) if by else value for name, value in amounts.items()
+    }
+    constants |= {own[name]: _middles(dataset, name, rates) for name in centres}
+    law = ForceLaw(tuple(map(Term, terms)), constants)
+    return replace(
+        spring, code="law_by_body", text=" + ".join(map(to_text, terms)), formulas=terms,
+        starts={}, hypothesis=view.hypothesis + Forces(law, None),
+        rank=2 * len(centres) + (6 if is_apart else 3), ties=(), is_afresh=True,
+        log_prior=spring.log_prior - (3 if is_apart else 2) * view.criteria.cause_nats,
+    )  # fmt: skip
+
+
+def _middles(dataset, name, bodies):
+    """Where each body is in the middle along the axis of a centre's constant."""
+    axis = "xyz".index(name.removeprefix(PLACE)[0])
+    tracks = {
+        body: np.concatenate([s.positions[:, s.names.index(body), axis] for s in dataset.scenes])
+        for body in bodies
+    }
+    return {body: float(np.nanmean(track)) for body, track in tracks.items()}
 
 
 def _slowed(view, search, form, rate):
