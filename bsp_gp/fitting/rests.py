@@ -69,8 +69,8 @@ def without_rests(dataset, law):
 def without_still_ends(dataset):
     """The data set without rows at which bodies stand still before they move, or after.
 
-    Whatever law is declared, and with a note: of bodies that bounce, which begin in somebody's hand
-    and end on the floor.
+    Whatever law is declared, and with a note: of bodies that bounce, or that nothing is known of,
+    which begin in somebody's hand and end on the floor.
 
     Returns
     -------

@@ -272,11 +272,14 @@ def _in_parts(ready, begun, declared, rng, how, criteria):
     whole = ready, begun
     if not lacks(begun, ready.noise.sigma):
         return whole
-    if bounce(ready.dataset):
-        dataset = without_still_ends(ready.dataset)
-        if dataset is not ready.dataset:
-            ready = _Ready(dataset, declared, rng)
-            whole = ready, ready.begin(*how)
+    bounces = bounce(ready.dataset)
+    # What nothing moves may rest for as long as it likes: no law says that it is held.
+    dataset = without_still_ends(ready.dataset) if bounces or not ready.law.terms else None
+    if dataset is not None and dataset is not ready.dataset:
+        ready = _Ready(dataset, declared, rng)
+        begun = ready.begin(*how)
+        whole = ready, begun
+    if bounces:
         flights = in_flights(ready.dataset) if bounce_oddly(ready.dataset) else None
         if flights is None:
             return whole

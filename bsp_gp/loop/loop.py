@@ -58,7 +58,8 @@ tracks have gained otherwise."""
 MOST_LEFT = 0.3
 """Part of the reduced chi-squared that may be left by what comes before all other causes."""
 MOST_BESIDE = 0.1
-"""Part of what a law leaves, up to which a rod or a rail leaves little."""
+"""Part of what a law leaves, up to which a rod or a rail leaves little, and a law by which the time
+is up."""
 MOST_HELD = 3
 """Rods and rails that are fitted before all else."""
 MOST_UNKEPT = 3
@@ -377,12 +378,15 @@ class _Turn:
 
         What was not looked at might have changed it. A law that leaves nothing is adopted all the
         same, though not as fact: of what was proposed, all that promised more was fitted before it.
+        One that leaves little of the motion describes it, and is told as that.
         """
         if not self.left_out:
             return decision
         stands = decision.is_adopted and set(self.left_out) <= {"fits", "proposers"}
         if stands and any(key == decision.best.id for key, *_ in self.leaving_nothing):
             return replace(decision, is_fact=False)
+        if stands and decision.best.left < MOST_BESIDE * self.rows[0].left:
+            return replace(decision, verdict="effective law", reason="time_is_up", is_fact=False)
         return replace(
             decision, verdict="cannot tell", reason="time_is_up", is_adopted=False, is_fact=False
         )

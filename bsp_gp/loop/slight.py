@@ -17,6 +17,9 @@ TAKEN = 0.5
 ALONE = 1.5
 """Mean square of what is left, in that of the noise from row to row, up to which it is noise."""
 KINDS = ("force", "hidden_body")
+MOST_CAUSES = 3
+"""Forces that may be missing from what people declare, and kicks of one body in a recording: more
+of them add up to a force of another form as terms of a series do."""
 
 
 def is_slight(first, done, dataset):
@@ -52,11 +55,24 @@ def size_left(found):
     return float(np.sqrt(np.nanmean(np.square(left))))
 
 
+def is_much_for_little(first, done):
+    """Whether a sum of many forces describes the little that is left.
+
+    Enough of them describe anything.
+    """
+    best = done.decision.best
+    if not (done.decision.is_adopted and best.n_terms > MOST_CAUSES and first.shows_tracks):
+        return False
+    return size_left(done.entering) < LITTLE * size_left(first)
+
+
 def without_the_slight(first, done, dataset):
-    """A round in which nothing slight is adopted."""
-    if not is_slight(first, done, dataset):
+    """A round in which nothing slight is adopted, and no sum of many forces for little."""
+    if is_much_for_little(first, done):
+        reason = "many_causes"
+    elif is_slight(first, done, dataset):
+        reason = "slight"
+    else:
         return done
-    decision = replace(
-        done.decision, verdict="seen, not adopted", reason="slight", is_adopted=False
-    )  # fmt: skip
+    decision = replace(done.decision, verdict="seen, not adopted", reason=reason, is_adopted=False)
     return replace(done, decision=decision)

@@ -25,6 +25,7 @@ from bsp_gp.loop.foresight import FORESEEING, foresees
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
 from bsp_gp.loop.proposers.exponents import base_of
 from bsp_gp.loop.proposers.priors import AXES
+from bsp_gp.loop.slight import MOST_CAUSES
 from bsp_gp.physics.bodies import input_types_of
 from bsp_gp.physics.force import split_linear
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
@@ -45,9 +46,6 @@ DESCRIBES = {
 """Why a law only describes the tracks."""
 FEWEST_PERIODS = 2
 """That a recording must have of what comes back in time: one wave is as good as any curve."""
-MOST_CAUSES = 3
-"""Forces that may be missing from what people declare, and kicks of one body in a recording: more
-of them add up to a force of another form as terms of a series do."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
