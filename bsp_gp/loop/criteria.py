@@ -24,7 +24,8 @@ push that has the period of the swing without it; "few_periods": one that was no
 back; "likelier_refused": adopted in the place of a likelier one that made predictions worse;
 "not_placed": an unseen body whose strength may be nothing; "swamped": noise with a memory would
 explain it, as large as the motion; "slight": it takes up less than half of the little that is
-left; "time_is_up": of what there was time for it is the likeliest, and leaves little; "at_bound": a constant inside it ends at its bound."""
+left; "time_is_up": of what there was time for it is the likeliest, and leaves little; "at_bound": a
+constant inside it ends at its bound."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""
 STOP_REASONS = ("nothing_left", "nothing_adopted", "most_rounds", "time_is_up", "failed")
