@@ -203,7 +203,9 @@ def close_loop(
         ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier
     )
     flights = None
-    if not (all_rows or clock.is_over) and is_astray(rounds[-1].after, ready.noise.sigma):
+    if not (all_rows or clock.is_over) and (
+        is_astray(rounds[-1].after, ready.noise.sigma) or bounce(ready.dataset)
+    ):
         flights = in_flights(ready.dataset, rounds)
     if flights is not None:
         says("following flights from wall to wall")

@@ -104,10 +104,10 @@ def in_flights(dataset, rounds=()):
     ----------
     dataset : Dataset
     rounds : sequence of Round
-        In which all walls were fitted in vain, or were not asked for.
+        In which no wall was adopted.
     """
-    rows = [row for done in rounds for row in done.table.rows]
-    if not may_be_cut(dataset) or any(row.kind == "wall" and row.is_fit for row in rows):
+    found = [done.decision.best for done in rounds if done.decision.is_adopted]
+    if not may_be_cut(dataset) or any(row.kind == "wall" for row in found):
         return None
     walls = _bounces(dataset)
     if not walls:

@@ -710,7 +710,7 @@ class _Turn:
 
     def _is_spare(self, proposal, broken, is_again):
         """Whether fits before it tell that its own changes nothing."""
-        if len(proposal.formulas) > self.enough:  # a sum, where fewer laws leave nothing
+        if proposal.n_laws > self.enough:  # a sum, where fewer laws leave nothing
             return True
         if self.explained and self.explained.includes(proposal):  # with another power in it
             return True

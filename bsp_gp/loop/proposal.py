@@ -9,10 +9,10 @@ from bsp_gp.errors import EvaluationError, FitError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.language.canonical import canonical_key
-from bsp_gp.language.formula import rename_constants
+from bsp_gp.language.formula import Call, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.engine.walls import walls_of
-from bsp_gp.physics.force import ForceLaw
+from bsp_gp.physics.force import ForceLaw, split_linear
 
 FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 """By which one cause cannot be fitted, and others may."""
@@ -116,6 +116,13 @@ class Proposal:
         """Whether it is a series that may stand for a force of any form."""
         news = [self.news.get(formula, 0) for formula in self.formulas]
         return max(news, default=0) > NEW or sum(news) > 2 * NEW
+
+    @property
+    def n_laws(self):
+        """Laws that it adds; components of one spin are one."""
+        own = [split_linear(formula)[1] for formula in self.formulas]
+        turning = sum(map(is_turning, own))
+        return len(own) - max(turning - 1, 0)
 
     @cached_property
     def key(self):
@@ -254,6 +261,11 @@ def continued(hypothesis, found):
             part = part.off_bounds() if part.kind == "world" else part
         parts.append(part)
     return Hypothesis(tuple(parts))
+
+
+def is_turning(formula):
+    """Whether a term acts across the velocity about an axis, and nothing else is in it."""
+    return isinstance(formula, Call) and formula.operator == "cross"
 
 
 def with_term(hypothesis, term, constants):

@@ -23,6 +23,7 @@ from bsp_gp.loop.criteria import KICKED
 from bsp_gp.loop.decide import share_of_listed
 from bsp_gp.loop.foresight import FORESEEING, foresees
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
+from bsp_gp.loop.proposal import is_turning
 from bsp_gp.loop.proposers.exponents import base_of
 from bsp_gp.loop.proposers.priors import AXES
 from bsp_gp.loop.slight import MOST_CAUSES
@@ -137,8 +138,14 @@ def is_many(rounds, removed):
 
 
 def _kind_of(formula):
-    """A formula; what powers of a coordinate do along its axis, the axis: they are one series."""
-    above, below = factors(split_linear(formula)[1])
+    """A formula; of powers of a coordinate along its axis, and of what turns about one, the kind.
+
+    They are one series, or components of one spin.
+    """
+    rest = split_linear(formula)[1]
+    if is_turning(rest):
+        return "spin"
+    above, below = factors(rest)
     *bases, direction = (base_of(part) for part in above)
     is_axis = isinstance(direction, Input) and direction.name in AXES
     if below or not is_axis:

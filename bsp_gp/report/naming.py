@@ -451,7 +451,7 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         if has_own and not radial:
             return f"{across}{_scaling(powers)}{where}"
         rest = {name: p for name, p in powers.items() if name not in _SPEEDS}
-        total = speed + (text == "perp(v_i)")
+        total = speed + (re.fullmatch(r"perp\(v_i\)|cross\(\w+, v_i\)", text) is not None)
         size = "" if is_loose else f", {_in_speed(total)}"
         kinds = "magnetic, Magnus or Coriolis" if is_loose or total == 1 else "magnetic or Magnus"
         return f"{across}{size}{_scaling(rest)} ({kinds}){where}"

@@ -213,7 +213,8 @@ def _phrases(effect, law, other):
     every = zip(terms, values, own, strict=True)
     told = [describe(t.formula, v, other, exponents) + _strengths(t.formula)
             for t, v, exponents in every]  # fmt: skip
-    return along_one_line(told, values), len(terms)
+    # Components of one spin are called alike.
+    return tuple(dict.fromkeys(along_one_line(told, values))), len(terms)
 
 
 def _strengths(formula):

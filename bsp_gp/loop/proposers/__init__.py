@@ -30,6 +30,7 @@ from bsp_gp.loop.proposers.regimes import Regimes
 from bsp_gp.loop.proposers.ripples import Ripples
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.proposers.sources import Sources
+from bsp_gp.loop.proposers.spun import Spun
 from bsp_gp.loop.proposers.swings import Swings
 from bsp_gp.loop.proposers.unfollowed import Unfollowed
 from bsp_gp.loop.proposers.varying import Varying
@@ -50,9 +51,10 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     inside = Inside(laws, dataset)
     return [
-        laws, inside, Polynomials(laws), Regimes(), Blown(), Swings(inside), ByOwner(laws),
-        OwnLaws(laws), Declared(), Varying(), Growing(), Winds(), Periods(), Ripples(), Pulsing(),
-        Alternating(laws, dataset), Frames(), Inclinations(), References(), Sources(), Hidden(),
-        Centres(), Aslant(), Companions(), Kicks(), Contacts(), Walls(), Rods(), Anchors(),
-        Measurement(), LateLogs(), Defects(), Hands(), Noise(), Unfollowed(laws),
+        laws, inside, Polynomials(laws), Regimes(), Spun(), Blown(), Swings(inside),
+        ByOwner(laws), OwnLaws(laws), Declared(), Varying(), Growing(), Winds(), Periods(),
+        Ripples(), Pulsing(), Alternating(laws, dataset), Frames(), Inclinations(), References(),
+        Sources(), Hidden(), Centres(), Aslant(), Companions(), Kicks(), Contacts(), Walls(),
+        Rods(), Anchors(), Measurement(), LateLogs(), Defects(), Hands(), Noise(),
+        Unfollowed(laws),
     ]  # fmt: skip
