@@ -546,21 +546,28 @@ class _Turn:
     def fit_held(self, queue):
         """Fit rods and rails, and beside a drag what slows down too much to be followed without.
 
+        The others are not asked where one leaves noise alone: a piece of a circle is nearly a
+        parabola.
+
         Returns
         -------
         bool
             Whether one of them leaves little.
         """
+        leaves_little = False
         for k, (source, proposal) in enumerate(queue, 1):
             for one in filter(None, (proposal, proposal.instead)):
                 if self.note_time("fits"):
-                    return False
+                    return leaves_little
                 self.run.says(f"fit {k} of {len(queue)}: {one.text}")
                 found = _fit_of(self._shared, (source, one))
                 row, _ = self._followed(source, replace(one, instead=None), found)
                 if row.is_fit and row.left < MOST_BESIDE * self.rows[0].left:
-                    return True
-        return False
+                    leaves_little = True
+                    break
+            if leaves_little and self.judged.get(row.id, 0.0) < EXPLAINED:
+                break
+        return leaves_little
 
     def fit_seconds(self, number, rng):
         """Ask beside each of the likeliest laws for a second one, where all leave much.

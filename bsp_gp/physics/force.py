@@ -434,7 +434,7 @@ def constant_units(term):
         The linear constant turns the rest into a force; it is not among them if the rest has other
         constants with open units.
     """
-    units = added_units(term.formula) | _scale_units(term.formula)
+    units = _summand_units(term.formula) | added_units(term.formula) | _scale_units(term.formula)
     name, rest = split_linear(term.formula)
     if name is None:
         return units
@@ -443,6 +443,26 @@ def constant_units(term):
     if rest.type.unit is None:
         return units
     return {**units, name: FORCE / rest.type.unit if isinstance(rest.type.unit, Unit) else FORCE}
+
+
+def _summand_units(formula):
+    """Units of constants that turn a summand of a force into what the others are, by name.
+
+    Omega of ``m * (Omega^2 * (p - o) - 2 * Omega * perp(v))``.
+    """
+    above, below = factors(formula)
+    sums = [f for f in above if isinstance(f, Call) and f.operator in ("add", "sub")]
+    if len(sums) != 1:
+        return {}
+    others = quotient([f for f in above if f is not sums[0]], below).type.unit
+    units = {}
+    for part in summands(sums[0]) if isinstance(others, Unit) else ():
+        up, down = factors(part)
+        own = [f for f in up if isinstance(f, Constant)]
+        rest = quotient([f for f in up if not isinstance(f, Constant)], down).type.unit
+        if len(own) == 1 and isinstance(rest, Unit):
+            units[own[0].name] = FORCE / others / rest
+    return units
 
 
 def added_units(formula):

@@ -21,6 +21,7 @@ X = "dot(p_i - origin, e_x)"
         ("a * cos(w * t) * e_x", {"w": "1/s", "a": "kg m/s^2"}),
         (f"c * (({X} - h)^2 + D^2)^-1.5 * e_x", {"h": "m", "D": "m", "c": "kg m^4/s^2"}),
         ("c * norm(v_i)^n * normalize(v_i)", {}),
+        ("m_i * (W^2 * (p_i - origin) - 2 * W * perp(v_i))", {"W": "1/s"}),
     ],
 )
 def test_units_of_constants_inside(text, units):

@@ -34,6 +34,16 @@ def track(t, x, y, sigma=1e-3):
     )  # fmt: skip
 
 
+def test_a_small_swing_in_pixels_is_that_of_a_rod_and_no_rail():
+    """A parabola had left as little: a curve that is kept to, and four forces beside it."""
+    t = np.arange(300) / 60
+    angle = 0.2 * np.sin(6.2 * t)
+    data = track(t, 384 + 216 * np.sin(angle), 85 - 216 * np.cos(angle), sigma=0.3)
+    (best, *_) = Rods().propose(looked_at(data, ())).proposals
+    assert best.code == "rod"
+    assert float(best.text.split("= ")[-1]) == pytest.approx(216, rel=0.1)
+
+
 @pytest.mark.slow
 def test_a_rod_and_then_the_drag_are_found_from_the_weight_alone():
     data = bob(lambda v: -0.15 * v, n=150)

@@ -29,6 +29,9 @@ ARC = 30.0
 """Deviations from a line from which an arc that does not come back is one about a point."""
 BENT = 3.0
 """Deviations from a line, in the same, from which a track is one about a point."""
+CLOSER = 0.9
+"""Part of what a circle leaves below which another curve follows a track better: a piece of a
+circle is nearly a parabola, and strings are commoner than rails of that form."""
 MOVED = 10.0
 """The same of the way between two bodies that have moved about each other."""
 UNEVEN = 0.2
@@ -160,7 +163,8 @@ def _alone(name, tracks):
     values = (*centre.tolist(), radius)
     rod = _Kept("rod", text, (name, ""), (*stems, "L"), values, level, _is_uneven(tracks),
                 way=tuple((middle - centre).tolist()))  # fmt: skip
-    return curve if curve is not None and curve.spread < spread else rod
+    is_better = curve is not None and curve.spread < CLOSER * spread
+    return curve if is_better else rod
 
 
 def _swings(tracks, axis):
