@@ -205,7 +205,8 @@ def variables(constants):
     """A line for each constant: its value, and half of its 90 % interval."""
     width = max((len(label(c)) for c in constants), default=0) + 1
     for c in constants:
-        head, unit = f"    {label(c) + ':':<{width}}", f" {c.unit}" if c.unit else ""
+        head = f"    {label(c) + ':':<{width}}"
+        unit = f" {c.unit}" if c.unit not in ("", "1") else ""
         half = (c.high - c.low) / 2
         if c.state == "undetermined":
             at = f" (left at {c.value:.3g}{unit})" if math.isfinite(c.value) else ""

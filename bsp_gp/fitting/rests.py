@@ -23,8 +23,13 @@ STILL = 3.0
 """Standard deviations by which the scatter of rows that stand still may pass what is expected."""
 NEAR = 0.01
 """Part of the extent of a track within which a body stands still, whatever noise its rows have."""
+SLOW, CREPT = 0.05, 0.03
+"""Part of its longest step up to which a body creeps, and of the extent how far that may take it:
+what is held in a hand, or by friction, does not stand quite still."""
 BESIDE = 2
 """Rows about the last that stands still, in which a body may already move."""
+SETTLED = 0.1
+"""Rows of a body that has settled which are kept where it rests long, in those of its motion."""
 HELD, CHANCE = 4.0, 1e-6
 """Reduced chi-squared from which on a law does not follow rows, and the chance of what curves and
 laws leave."""
@@ -80,7 +85,7 @@ def without_still_ends(dataset):
     if not may_lose_ends(dataset):
         return dataset
     levels = np.array(estimate_noise(dataset).sigma)
-    ends = {scene.name: _still_ends(scene, levels) for scene in dataset.scenes}
+    ends = {scene.name: _still_ends(scene, levels, SETTLED) for scene in dataset.scenes}
     note = (
         f"{CHECK}the body stands still before it moves, or after: it is held or lies on something, "
         "and these rows are left out ({})"
@@ -135,8 +140,17 @@ def _held(dataset, law, ends):
     return out
 
 
-def _still_ends(scene, levels):
-    """How many rows stand still at the beginning and at the end of a scene of one moving body."""
+def _still_ends(scene, levels, settled=0.0):
+    """How many rows stand still at the beginning and at the end of a scene of one moving body.
+
+    Of a body that has settled where forces balance only those count that are more than a part of
+    the rows of its motion.
+
+    Parameters
+    ----------
+    settled : float
+        That part; 0: none of them count.
+    """
     if len(scene.dynamic) != 1 or scene.first is not None:
         return 0, 0
     places, seen = in_levels(scene, scene.dynamic[0], levels)
@@ -144,7 +158,7 @@ def _still_ends(scene, levels):
     tail = _n_still(-scene.times[seen][::-1], places[seen][::-1])
     moving = np.linalg.norm(np.diff(places[seen][head : len(seen) - tail], axis=0), axis=1)
     if len(moving) and moving[-BESIDE - 1 :].mean() < ABRUPT * moving.mean():
-        tail = 0
+        tail = max(tail - int(settled * len(moving)), 0) if settled else 0
     if head + tail > MOST_STILL * len(seen) or len(seen) - head - tail < LEAST_MOVING:
         return 0, 0
     return (
@@ -159,7 +173,7 @@ def _n_still(times, places):
     What stands still may be told worse than what moves, and the very first row may be off: whoever
     tracks by hand begins somewhere.
     """
-    off = int(_n_near(places) < LEAST_ROWS)
+    off = int(np.argmax([_n_near(places), 1 + _n_near(places[1:])]))
     times, places = times[off:], places[off:]
     n = max(still_rows(places), _n_near(places))
     if not LEAST_ROWS <= n < len(places):
@@ -173,10 +187,17 @@ def _n_still(times, places):
 
 
 def _n_near(places):
-    """Rows from the first on that are near it beside the way of all."""
-    away = np.linalg.norm(places - places[0], axis=1)
-    far = np.flatnonzero(away > NEAR * np.linalg.norm(np.ptp(places, axis=0)))
-    return int(far[0]) if len(far) else len(places)
+    """Rows from the first on that are near it beside the way of all, or creep about there."""
+    away = np.linalg.norm(places - places[0], axis=1) / np.linalg.norm(np.ptp(places, axis=0))
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    slow = _until(steps > SLOW * steps.max(initial=0.0)) + 1
+    return max(_until(away > NEAR), min(slow, _until(away > CREPT)))
+
+
+def _until(is_over):
+    """How many come before the first that is True."""
+    at = np.flatnonzero(is_over)
+    return int(at[0]) if len(at) else len(is_over)
 
 
 def _smooth(t, places):
