@@ -16,6 +16,7 @@ from bsp_gp.data.preambles import HEADS, without_preamble
 from bsp_gp.data.records import ENDINGS as RECORDS
 from bsp_gp.data.records import as_table
 from bsp_gp.data.words import n_known_words
+from bsp_gp.data.zipped import is_book, is_zip, unpacked
 from bsp_gp.errors import DataError, MissingDependencyError
 
 MAX_BYTES = 4 * 2**30
@@ -128,6 +129,8 @@ def open_source(path, names=()):
     if path.suffix.lower() in arrays.ENDINGS:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
         return _made(Source(path, digest, {}), *arrays.as_table(path))
+    if is_zip(path):
+        return _workbook(path) if is_book(path) else _of_archive(path, names)
     source = _text_file(path, names)
     if path.suffix.lower() in gps.ENDINGS:
         with source.open() as stream:
@@ -136,6 +139,24 @@ def open_source(path, names=()):
         with source.open() as stream:
             return _made(source, as_table(stream.read(), path))
     return source
+
+
+def _of_archive(path, names):
+    """The source of the one table in an archive."""
+    with unpacked(path) as (file, note):
+        try:
+            if is_zip(file) and not is_book(file):
+                raise DataError("it is a ZIP archive itself", remedy="unpack it, and give the table")
+            source = open_source(file, names)
+            with source.open() as stream:
+                text = stream.read()
+        except DataError as error:
+            raise DataError(
+                error.problem, file=f"{path}, {file.name} in it", row=error.row,
+                column=error.column, remedy=error.remedy,
+            ) from None  # fmt: skip
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return Source(path, digest, _counts(text), text=text, notes=(note, *source.notes))
 
 
 def _made(source, text, notes=()):
