@@ -365,12 +365,39 @@ def headings(cells, rename=None, *, is_track=True):
     back = _of_every_run(back) if is_track else back
     found = [_read(cell, back, is_track, ignored) for cell in cells]
     if is_track:
-        found = _without_sensors(found)
+        found = _without_sensors(_as_said(found))
         found = _with_angles(_with_polar_errors(_turned(_with_bodies(found))))
         found = _with_dates(found)
         found = [_guessed(h, {f.name for f in found}) for h in found]
         found = _with_errors(_with_clock(found))
     return tuple(_settled(found))
+
+
+def _as_said(found):
+    """Beside places that the caller names: no others of these names, and none of other owners.
+
+    Of whose places the caller leaves out nothing else is taken for a place.
+    """
+    said = [h for h in found if h.is_renamed and _of_body(h).name in _PLACES]
+    names = {_of_body(h).name for h in said}
+    owners = {_run_of(plain_signs(h.theirs))[0] for h in said}
+    plain = [_read(h.theirs, {}, True) for h in found if h.ignored]
+    left = {h.run for h in plain if h.name in _PLACES}
+    out = []
+    for h in found:
+        if h.run in left and h.sure == UNKNOWN and not is_run(h.run):
+            h = replace(h, name=h.stem, run="")
+        is_owned = bool(h.run) and not is_run(h.run)
+        is_twice = not h.run and h.name in names and h.sure != UNKNOWN
+        if not said or h.is_renamed or h.ignored or not (is_owned or is_twice):
+            out.append(h)
+        elif h.run in owners and h.sure != UNKNOWN and h.name not in names:
+            out.append(replace(h, run=""))
+        elif h.stem == h.name:  # it is called as ours is
+            out.append(Heading("", h.unit, h.theirs, ignored=h.theirs))
+        else:
+            out.append(replace(h, name=h.stem, sure=UNKNOWN, run=""))
+    return out
 
 
 def _without_sensors(found):
@@ -814,7 +841,8 @@ def _is_in_first_unit(heading, found):
 
 def told(found):
     """A note of what was guessed, empty without; and which option names another."""
-    guesses = list({(h.name, h.body): h for h in reversed(found) if h.sure == GUESS}.values())[::-1]
+    guessed = [h for h in reversed(found) if h.sure == GUESS and not h.is_renamed]
+    guesses = list({(h.name, h.body): h for h in guessed}.values())[::-1]
     if not guesses:
         return ""
     ours = {h.name: h for h in found}

@@ -146,7 +146,7 @@ def _of_archive(path, names):
     with unpacked(path) as (file, note):
         try:
             if is_zip(file) and not is_book(file):
-                raise DataError("it is a ZIP archive itself", remedy="unpack it, and give the table")
+                raise DataError("it is a ZIP archive itself", remedy="unpack both")
             source = open_source(file, names)
             with source.open() as stream:
                 text = stream.read()

@@ -1,0 +1,53 @@
+"""What the caller names wins over what words mean."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bsp_gp import Dataset
+
+T = np.arange(12) * 0.04
+NAMES = ("X position [px]", "Y position [px]", "Distance [px]")
+ONE, TWO = ([f"Object {k}: {name}" for name in NAMES] for k in (1, 2))
+
+
+@pytest.fixture
+def table():
+    columns = {"Time [s]": T}
+    for k, names in enumerate((ONE, TWO)):
+        columns |= dict(zip(names, (100 * k + T, T * T, 5 + k + 0 * T), strict=True))
+    return pd.DataFrame(columns)
+
+
+def test_objects_side_by_side_are_bodies(table):
+    data = Dataset.from_frames(table)
+    assert data.scenes[0].names == ("Object 1", "Object 2")
+    np.testing.assert_array_equal(data.scenes[0].positions[:, 1, 0], 100 + T)
+
+
+@pytest.mark.parametrize("names, offset", [(ONE, 0), (TWO, 100)])
+@pytest.mark.parametrize("how", ["x", "x and y", "body"])
+def test_places_of_one_object_that_are_named_are_the_only_ones(table, names, offset, how):
+    columns = {"x": names[0]} | ({"y": names[1]} if how == "x and y" else {})
+    if how == "body":
+        columns = {"ball_x": names[0], "ball_y": names[1]}
+    data = Dataset.from_frames(table, columns=columns)
+    assert data.scenes[0].names == (("ball",) if how == "body" else ("object",))
+    np.testing.assert_array_equal(data.scenes[0].positions[:, 0, 0], offset + T)
+    np.testing.assert_array_equal(data.scenes[0].positions[:, 0, 1], T * T)
+    told = " ".join(data.notes)
+    assert "by their words" not in told
+    other = TWO if names is ONE else ONE
+    assert all(name.removesuffix(" [px]") in told for name in (*other, names[2]))
+
+
+def test_of_an_object_that_is_left_out_no_other_column_is_a_place(table):
+    data = Dataset.from_frames(table, columns={TWO[0]: "ignore", TWO[1]: "ignore"})
+    assert len(data.scenes[0].names) == 1
+    np.testing.assert_array_equal(data.scenes[0].positions[:, 0, 0], T)
+
+
+def test_a_plain_place_gives_way_to_one_that_is_named():
+    table = pd.DataFrame({"t": T, "x": 0 * T, "y": 0 * T, "X2": T, "Y2": T * T})
+    data = Dataset.from_frames(table, columns={"x": "X2", "y": "Y2"})
+    np.testing.assert_array_equal(data.scenes[0].positions[:, 0], np.stack([T, T * T], axis=1))
