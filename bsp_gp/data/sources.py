@@ -37,6 +37,9 @@ _ENCODINGS = ("cp1252", "cp1250", "cp1251", "gb18030", "big5", "shift_jis", "euc
               "mac_roman", "cp437")  # fmt: skip
 _HEAD_BYTES = 1 << 14
 _NUMBER = re.compile(r"[-+\d.,eE]+")
+_OPENED = re.compile(r"(?:\w+\s*=\s*)?[\[(]+\s*[-+]?\.?\d[-+\d.,;eE\s\])]*")
+"""The first row of a matrix: ``[ 0 0.0 2;``, ``data = [1, 2``, ``[[0.1 0.2]``."""
+_OPENING = re.compile(r"(?:\w+\s*=\s*)?[\[(]+")
 _WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -67,9 +70,37 @@ class Source:
             return io.StringIO(self.text, newline=newline)
         return self.path.open(encoding=self.encoding, newline=newline)
 
+    def head(self, count):
+        """The first lines, without their ends."""
+        with self.open() as stream:
+            return [line.rstrip("\n") for _, line in zip(range(count), stream, strict=False)]
+
     @property
     def for_pandas(self):
         return self.path if self.text is None else io.StringIO(self.text)
+
+    def without_brackets(self, head):
+        """The same without the brackets of a matrix around its rows, as MATLAB and numpy print it.
+
+        Parameters
+        ----------
+        head : sequence of str
+            The first lines.
+        """
+        first = next((k for k, line in enumerate(head) if _OPENED.fullmatch(line.strip())), None)
+        if first is None:
+            return self
+        with self.open() as stream:
+            lines = stream.read().split("\n")
+        last = next((k for k in range(len(lines) - 1, first, -1) if lines[k].strip()), first)
+        if "]" not in lines[last]:
+            return self
+        for k in range(first, last + 1):
+            line = lines[k].strip().removesuffix(",").rstrip(" \t;])")
+            lines[k] = line[_OPENING.match(line).end() :] if _OPENING.match(line) else line
+        text = "\n".join(lines)
+        note = f"brackets around the rows are left out, from line {first + 1} on"
+        return replace(self, text=text, counts=_counts(text), notes=(*self.notes, note))
 
     def without_comments(self, above):
         """The same with blank lines for comments (#) below the header, where few lines are; a note.
