@@ -113,6 +113,8 @@ _GLUED = re.compile(
     r"|(angle|winkel|theta|phi|alpha)(deg|degrees|rad)", re.IGNORECASE
 )  # fmt: skip
 """A name with its unit behind it: ``tdays``, ``Angledeg``."""
+_G_FORCE = re.compile(r"gF[xyz]|TgF")
+"""What a phone's accelerometer shows in units of gravity, as Physics Toolbox names it."""
 _OFFSET = re.compile(
     r"(?:d|delta|δ|∆|rel)(ra|dec)l?(?:off|offset)?|(ra|dec)l?(?:off|offset|rel)", re.IGNORECASE
 )
@@ -263,6 +265,7 @@ def run_of(title):
 def is_acceleration(text):
     """Whether a heading speaks of an acceleration."""
     is_symbol = re.fullmatch(r"(?:a|acc|accel)[\s_]?[xyz]", text.strip().lower()) is not None
+    is_symbol = is_symbol or _G_FORCE.fullmatch(text.strip()) is not None
     return is_symbol or bool(_words(text) & _ACCELERATION_WORDS)
 
 
@@ -448,6 +451,7 @@ def _read(cell, back, is_track, ignored=()):
         run, rest = "", rest if is_run(run) else cell
     rest = rest if rest in back else _SUBSCRIPT.sub(r" \1", rest)
     stem, unit = _split_unit(rest, back, is_track)
+    unit = "g" if not unit and _G_FORCE.fullmatch(stem) else unit
     bare = re.sub(r"\s*[(\[{<].*$", "", rest)  # before what is no unit that we know
     for text in (cell, rest, stem, bare):
         if text in ignored:

@@ -27,7 +27,7 @@ from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
 _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
-_WHOLE = frozenset("absolute absolut abs magnitude betrag total norm".split())
+_WHOLE = frozenset("absolute absolut abs magnitude betrag total norm tgf".split())
 PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
 DATES = (YEARS, JULIAN, (4.0e4, 7.0e4))
@@ -216,7 +216,7 @@ def _refuse_several(table, headings, velocity):
 
 def _axis_in(text):
     """The axis that a heading names: the last of its letters x, y, z that stand alone; or ""."""
-    before = r"(?:(?<![a-z])|(?<=\ba)|(?<=\bacc)|(?<=\baccel))"
+    before = r"(?:(?<![a-z])|(?<=\ba)|(?<=\bacc)|(?<=\baccel)|(?<=\bgf))"
     found = re.findall(rf"{before}([xyz])(?![a-z])", text.lower())
     return found[-1] if found else ""
 

@@ -205,7 +205,8 @@ def _remedy_of_numbers(cells):
             "there are in a second: --columns x=1 --fps 25 (of speeds, vx=1)"
         )
     remedy = "add a header such as t,x,y, or say which column is which by its number: "
-    by_number = "--columns t=1 x=2 (t=2 x=3 where the first counts rows or bodies)"
+    by_number = "--columns t=1 x=2 (t=2 x=3 where the first counts rows or bodies"
+    by_number += "; t=1 ax=2 ay=3 az=4 of accelerations)" if len(cells) > 3 else ")"
     if _are_places(cells):
         by_number += ", if that line is a row; if it numbers the columns itself, --columns t=0 x=1"
     return remedy + by_number

@@ -50,6 +50,7 @@ from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.twice import by_date, measures_at_once, without_copies, without_slips
+from bsp_gp.data.uncalibrated import without_other_units
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError, UnitError, in_python
 from bsp_gp.output.mark import read_mark
@@ -326,6 +327,7 @@ def _assemble(table, roster, declaration, default_name):
     declaration, input_notes = _with_inputs(table, declaration)
     table = from_maps(table, declaration)
     table, declaration = from_rates(table, declaration)
+    table = without_other_units(table, declaration)
     declaration = _with_angles(table, declaration)
     table, declared = from_polar(
         table, declaration.units, start=declaration.angle_from or "x",

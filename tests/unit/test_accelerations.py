@@ -220,3 +220,24 @@ def test_nothing_is_said_where_gravity_is_not_in_accelerations(rng, case):
         shown, names = shown[:2], names[:2]
     data = Dataset.from_frames(shown_by(t, shown, names))
     assert not any("gravity" in note for note in data.notes)
+
+
+@pytest.mark.parametrize("columns", [None, {f"a{axis}": f"gF{axis}" for axis in "xyz"}])
+def test_forces_in_units_of_gravity_are_accelerations(tmp_path, rng, columns):
+    t, shown, _ = carried(rng)
+    table = shown_by(t, shown / 9.80665, [f"gF{axis}" for axis in "xyz"])
+    table.assign(TgF=1.0).rename(columns={"t (s)": "time"}).to_csv(tmp_path / "g.csv", index=False)
+    data = load_dataset(tmp_path / "g.csv", columns=columns)
+    assert any("was taken off" in note and "9.6" in note for note in data.notes)
+    assert np.ptp(data.scenes[0].positions, axis=0).max() < 6.0
+
+
+def test_columns_of_accelerations_without_a_header_are_named_by_their_numbers(tmp_path, rng):
+    t, shown, names = carried(rng)
+    table = shown_by(t, shown, names).assign(clock=1.6e18)
+    path = tmp_path / "bare.csv"
+    table[["clock", *table.columns[:-1]]].to_csv(path, index=False, header=False)
+    with pytest.raises(DataError, match="t=1 ax=2 ay=3 az=4 of accelerations"):
+        load_dataset(path)
+    data = load_dataset(path, columns={"t": "2", "ax": "3", "ay": "4", "az": "5"})
+    assert data.velocity == "unseen" and any("gravity" in note for note in data.notes)

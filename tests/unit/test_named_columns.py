@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from bsp_gp import Dataset
+from bsp_gp.errors import DataError
 
 T = np.arange(12) * 0.04
 NAMES = ("X position [px]", "Y position [px]", "Distance [px]")
@@ -51,3 +52,31 @@ def test_a_plain_place_gives_way_to_one_that_is_named():
     table = pd.DataFrame({"t": T, "x": 0 * T, "y": 0 * T, "X2": T, "Y2": T * T})
     data = Dataset.from_frames(table, columns={"x": "X2", "y": "Y2"})
     np.testing.assert_array_equal(data.scenes[0].positions[:, 0], np.stack([T, T * T], axis=1))
+
+
+@pytest.fixture
+def sensor():
+    return pd.DataFrame({"Time (s)": T, "Voltage ( V )": T * T, "Speed [m/s]": 2 * T})
+
+
+def test_volts_that_are_named_as_a_place_are_one_that_is_not_calibrated(sensor):
+    data = Dataset.from_frames(sensor, columns={"x": "Voltage ( V )"})
+    np.testing.assert_array_equal(data.scenes[0].positions[:, 0, 0], T * T)
+    (note,) = [note for note in data.notes if "not calibrated" in note]
+    assert note.startswith("check: 'Voltage ( V )': V is no unit of length")
+    assert "m" not in data.units.declared
+    told = Dataset.from_frames(sensor, columns={"x": "Voltage ( V )"}, units={"x": "0.5 mm"})
+    np.testing.assert_allclose(told.scenes[0].positions[:, 0, 0], 0.0005 * T * T)
+    assert not any("calibrated" in note for note in told.notes)
+
+
+def test_a_speed_that_is_named_as_a_place_is_refused_with_what_works(sensor):
+    with pytest.raises(DataError, match=r'columns={"vx": "Speed \[m/s\]"}'):
+        Dataset.from_frames(sensor, columns={"x": "Speed [m/s]"})
+    assert Dataset.from_frames(sensor, columns={"vx": "Speed [m/s]"}).velocity == "only"
+
+
+def test_a_complaint_names_the_headings_of_the_file():
+    table = pd.DataFrame({"t": T, "S": T * T, "Vs": 2 * T, "As": 2 + 0 * T + T**3})
+    with pytest.raises(DataError, match="present are t, S, Vs, As; .* all motion is along 'S'"):
+        Dataset.from_frames(table)
