@@ -592,7 +592,7 @@ def _with_errors(found):
         if not match:
             continue
         text = match[1] or match[2]
-        place = places.get((h.run, text)) if text else before if before in known else None
+        place = _place_of(places, h.run, text) if text else before if before in known else None
         if place and (not h.unit or unit_of(h.unit) == unit_of(place.unit or "m")):
             errors.setdefault(place.owner, {}).setdefault(f"s{place.name}", []).append(h)
     of = {}
@@ -604,6 +604,14 @@ def _with_errors(found):
         replace(h, name=of[id(h)][0], body=of[id(h)][1], sure=GUESS) if id(h) in of else h
         for h in found
     ]
+
+
+def _place_of(places, run, text):
+    """The place that is called so, or of which that is the beginning: ``Dist`` of ``Distance``."""
+    if (run, text) in places or len(text) < 3:
+        return places.get((run, text))
+    begun = {id(h): h for (own, name), h in places.items() if own == run and name.startswith(text)}
+    return next(iter(begun.values())) if len(begun) == 1 else None
 
 
 def _plain(heading):

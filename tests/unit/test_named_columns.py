@@ -6,6 +6,7 @@ import pytest
 
 from bsp_gp import Dataset
 from bsp_gp.errors import DataError
+from bsp_gp.report.recording import data_text
 
 T = np.arange(12) * 0.04
 NAMES = ("X position [px]", "Y position [px]", "Distance [px]")
@@ -80,3 +81,21 @@ def test_a_complaint_names_the_headings_of_the_file():
     table = pd.DataFrame({"t": T, "S": T * T, "Vs": 2 * T, "As": 2 + 0 * T + T**3})
     with pytest.raises(DataError, match="present are t, S, Vs, As; .* all motion is along 'S'"):
         Dataset.from_frames(table)
+
+
+def test_an_error_is_that_of_the_place_whose_heading_it_abbreviates():
+    table = pd.DataFrame({"t (s)": T, "Distance (cm)": 100 * T * T, "Dist Error (cm)": 0.2})
+    data = Dataset.from_frames(table)
+    np.testing.assert_allclose(data.scenes[0].sigma[:, 0, 0], 0.002)
+    table = table.rename(columns={"Dist Error (cm)": "Dial Error (cm)"})
+    assert Dataset.from_frames(table).scenes[0].sigma is None
+
+
+@pytest.mark.parametrize(
+    "start, step, told",
+    [(0.0, 1.0, "from 0 to 11.00"), (62397555.0, 1.0, "6.23975550 × 10⁷ to 6.23975660"),
+     (2453736.5, 0.25, "2.4537365 × 10⁶ to 2.453739")],
+)  # fmt: skip
+def test_times_far_from_zero_are_printed_so_that_rows_are_told_apart(start, step, told):
+    table = pd.DataFrame({"t": start + step * np.arange(12), "x": T, "y": T * T})
+    assert told in data_text(Dataset.from_frames(table))
