@@ -318,6 +318,8 @@ def _require_even_rows(source, layout, head):
             return ()
     has_header = layout.header_line >= 0
     first = "the header" if has_header else "the first row"
+    rows = [split_line(text, layout.delimiter) for text in head[layout.data_line :] if text.strip()]
+    by_number = _BY_NUMBER * (has_header and len(set(map(len, rows))) == 1 < len(rows[0]))
     known = [k for k, h in enumerate(layout.headings) if h.sure != UNKNOWN]
     least, short = max(known, default=n_cells) + 2, []
     with source.open(newline="") as stream:
@@ -331,7 +333,7 @@ def _require_even_rows(source, layout, head):
                     f"this row has {len(row)} cells, {first} has {n_cells} "
                     f"({DELIMITER_NAMES[layout.delimiter]} between them)",
                     file=source.path, row=line,
-                    remedy=f"every row needs as many cells as {first}{_BY_NUMBER * has_header}",
+                    remedy=f"every row needs as many cells as {first}{by_number}",
                 )  # fmt: skip
     told = f"rows lack cells at their ends, which are not used: {len(short)}, the first is line"
     return (f"{told} {short[0]}",) if short else ()
