@@ -36,6 +36,7 @@ from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
 from bsp_gp.data.logged import named_of
+from bsp_gp.data.meeting import without_meetings
 from bsp_gp.data.on_maps import from_maps
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
 from bsp_gp.data.polar_words import plain_words
@@ -362,6 +363,7 @@ def _assemble(table, roster, declaration, default_name):
     rows, twice = measures_at_once(rows)
     rows, slips = without_slips(rows)
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
+    rows, met = without_meetings(rows) if roster is None else (rows, ())
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
     scenes = with_primary(scenes, roster) if is_star else scenes
     free = _free_of_the_sky(scenes, declaration, conversion.system)
@@ -385,6 +387,7 @@ def _assemble(table, roster, declaration, default_name):
         *twice,
         *slips,
         *apart,
+        *met,
         *still,
         *(roster.notes if roster else ()),
         *idle,

@@ -99,3 +99,26 @@ def test_an_error_is_that_of_the_place_whose_heading_it_abbreviates():
 def test_times_far_from_zero_are_printed_so_that_rows_are_told_apart(start, step, told):
     table = pd.DataFrame({"t": start + step * np.arange(12), "x": T, "y": T * T})
     assert told in data_text(Dataset.from_frames(table))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.01])
+def test_bodies_at_one_pixel_at_times_are_read_and_told(scale):
+    k = np.arange(20)
+    one, two = np.round(3.3 * k) * scale, np.round(3.3 * k + 2 * np.cos(k)) * scale
+    count = int((one == two).sum())
+    assert 0 < count <= 5
+    table = pd.DataFrame({"t": k / 30, "p_x": one, "p_y": k, "q_x": two, "q_y": k})
+    data = Dataset.from_frames(table)
+    assert np.isnan(data.scenes[0].positions[:, 1, 0]).sum() == count
+    (note,) = [note for note in data.notes if "same point" in note]
+    assert note.startswith("check: ") and f"'q' in {count} of 20" in note
+
+
+def test_bodies_that_meet_often_or_exactly_are_refused():
+    k = np.arange(20)
+    x = np.round(3.3 * k)
+    for other in (np.where(k % 2, x, x + 1), np.where(k == 3, np.sqrt(k), np.sqrt(k + 1))):
+        one = x if other[1] == x[1] else np.sqrt(k)
+        table = pd.DataFrame({"t": k / 30, "p_x": one, "p_y": k, "q_x": other, "q_y": k})
+        with pytest.raises(DataError, match="at one point"):
+            Dataset.from_frames(table)
