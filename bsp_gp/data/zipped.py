@@ -1,7 +1,9 @@
 """A table in a ZIP archive, as phyphox and others export it beside what they know of the device."""
 
 import contextlib
+import lzma
 import re
+import struct
 import tempfile
 import zipfile
 import zlib
@@ -23,6 +25,11 @@ _BESIDE = frozenset("meta metadata __macosx".split())
 _ABOUT = re.compile(r"(?i)(?:read[\s_-]?me|liesmich|licen[sc]e|copying|about)\b.*")
 _BOOKS = frozenset(("[Content_Types].xml", "mimetype"))
 _LISTED = 6
+_DAMAGED = (
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, OSError, EOFError, ValueError,
+    OverflowError, NotImplementedError, RuntimeError,
+)  # fmt: skip
+"""What archives whose bytes are wrong raise."""
 
 
 def is_zip(path):
@@ -58,7 +65,7 @@ def unpacked(path):
         file = Path(folder) / name
         try:
             _unpack(archive, member, file, path)
-        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as bad:
+        except _DAMAGED as bad:
             raise DataError(
                 f"{member.filename!r} in this ZIP archive cannot be unpacked ({bad})", file=path,
                 remedy="unpack it with another program, and give the table",
@@ -77,7 +84,7 @@ def _archive(path):
         )  # fmt: skip
     try:
         archive = zipfile.ZipFile(path)
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+    except _DAMAGED as error:
         raise DataError(
             f"the file is a ZIP archive that cannot be read ({error})", file=path,
             remedy="save it anew, or unpack it and give the table in it",
