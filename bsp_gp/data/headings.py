@@ -54,9 +54,7 @@ _SUBSCRIPT = re.compile(r"_\{([^{}]+)\}")
 _RUN = rf"(?:data ?set|latest|latest run|{'|'.join(sorted(words_for('run') - {'take'}))})"
 _RUN_NAME = re.compile(rf"{_RUN}\s*(?:#|nr\.?|no\.?)?\s*\d+")
 _RUN_BEFORE = re.compile(r"([^:\d][^:]*?)\s*:\s*(\S.*)")
-_RUN_AFTER = re.compile(
-    rf"(.*[^\s,;(])[\s,;]+\(?({_RUN_NAME.pattern})\)?(\s*[(\[][^)\]]*[)\]])?"
-)
+_RUN_AFTER = re.compile(rf"(.*[^\s,;(])[\s,;]+\(?({_RUN_NAME.pattern})\)?(\s*[(\[][^)\]]*[)\]])?")
 """Of headings without capitals and accents."""
 _BODY_BEFORE = re.compile(r"(.*[^\s_.:-])[\s_.:-]+([vs]?[xyz]|t)", re.IGNORECASE)
 _UNGLUED = re.compile(r"^([xyzXYZ])([a-zA-Z]{3,})$")
@@ -425,8 +423,11 @@ def _of_every_run(back):
 
 def _with_clock(found):
     """The only column with a unit of time as the time, where there is no other."""
-    clocks = [h for h in found if h.sure == UNKNOWN and not h.ignored
-              and h.unit and unit_of(h.unit) == _TIME]
+    clocks = [
+        h
+        for h in found
+        if h.sure == UNKNOWN and not h.ignored and h.unit and unit_of(h.unit) == _TIME
+    ]
     if len(clocks) != 1 or any(h.name in ("t", "frame") for h in found):
         return found
     return [replace(h, name="t", sure=GUESS) if h is clocks[0] else h for h in found]
@@ -868,7 +869,4 @@ def told(found):
     )
     names = dict.fromkeys(back.get(h.name, h.name) for h in guesses if not h.body)
     options = " ".join(f"{name}=NAME" for name in names) or "BODY_x=NAME BODY_y=NAME"
-    return in_python(
-        f"{BY_WORDS}: {listed}; if one is not that, say which is: --columns "
-        f"{options}"
-    )
+    return in_python(f"{BY_WORDS}: {listed}; if one is not that, say which is: --columns {options}")

@@ -53,8 +53,11 @@ def test_a_sign_of_a_comment_may_be_a_name(tmp_path):
 @pytest.mark.parametrize(
     "header, row, names",
     [
-        ("Sample   Commanded Pos   Encoder 2 Pos", "1 2 3",
-         ("Sample", "Commanded Pos", "Encoder 2 Pos")),
+        (
+            "Sample   Commanded Pos   Encoder 2 Pos",
+            "1 2 3",
+            ("Sample", "Commanded Pos", "Encoder 2 Pos"),
+        ),
         ("Way (yds) height (ins) height", "1 2 3", ("Way (yds)", "height (ins)", "height")),
         ("time, height. Begins at ( 0,0 ) here", "0,1", ("time", "height. Begins at ( 0,0 ) here")),
         ("t x y", "1 2 3", ("t", "x", "y")),
