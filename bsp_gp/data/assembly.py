@@ -275,12 +275,15 @@ def axes_of(table, declaration):
         theirs = [table.unused.get(column, column) for column in doubtful]
         names = list(map(quoted, theirs))
         ignored = " ".join(f"{name}=ignore" for name in names)
+        present = ", ".join(dict.fromkeys(table.present or columns))
+        own = table.theirs.get(axes[0], axes[0])
+        along = axes[0] if own == axes[0] else repr(own)
         raise DataError(
-            f"the header has no column {other!r}; present are {', '.join(columns)}",
+            f"the header has no column {other!r}; present are {present}",
             file=table.file, column=other,
             remedy=f"if {theirs[0]!r} is that, --columns {other}={names[0]} (in dataset.toml under "
             f"[columns]); if it drives the motion (a support, a thrust), its unit, --units "
-            f"{names[0]}=UNIT, makes it an input of laws; if all motion is along {axes[0]}, "
+            f"{names[0]}=UNIT, makes it an input of laws; if all motion is along {along}, "
             f"--columns {ignored}",
         )  # fmt: skip
     note = () if is_angle(angle) else (

@@ -26,6 +26,8 @@ _FORMATS = (
 """Ways of writing a date in which day and month cannot be mistaken for each other."""
 _TURNED = re.compile(r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d\d:\d\d(\.\d+)?")
 """A date in which day and month may be mistaken for each other, which matters where it changes."""
+_ERA = r"^(?:A\.?D\.?|C\.?E\.?)\s+(?=\d)"
+"""Before a year of ours: ``A.D. 2025-Jul-01 00:00:00.0000``, as Horizons writes it."""
 _CLOCK = re.compile(r"(\d{1,3}):(\d\d):(\d\d(?:[.,]\d+)?)")
 
 
@@ -73,7 +75,7 @@ def seconds_of(cells):
     if not len(known):
         return None
     if not pd.api.types.is_datetime64_any_dtype(known):
-        known = known.astype(str).str.strip()
+        known = known.astype(str).str.strip().str.replace(_ERA, "", regex=True)
         clock = known.str.fullmatch(_CLOCK.pattern)
         if clock.all():
             parts = known.str.replace(",", ".").str.split(":", expand=True).astype(float)

@@ -39,6 +39,7 @@ _NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "â€¦", "-", "â
 _NO_NUMBER = [*_NAN, "X", "x", "?", "*", "na", "n/a", "n.a.", "#N/A", "NULL", "None", "none"]
 """What stands for no value where a number is expected."""
 _HEAD_LINES = 60
+_BY_NUMBER = ", or say which column is which by its number: --columns t=1 x=2"
 
 
 @dataclass(frozen=True)
@@ -104,8 +105,9 @@ def read_table(path, *, rename=None, as_text=False):
     """
     source = open_source(Path(path), (rename or {}).values())
     path = source.path
-    with source.open() as stream:
-        head = [line.rstrip("\n") for _, line in zip(range(_HEAD_LINES), stream, strict=False)]
+    head = source.head(_HEAD_LINES)
+    plain = source.without_brackets(head)
+    source, head = plain, head if plain is source else plain.head(_HEAD_LINES)
     marks = ("entity",) if as_text else ("t", "frame")
     try:
         layout = sniff(head, dict(rename or {}), marks, path)
@@ -314,7 +316,10 @@ def _require_even_rows(source, layout, head):
         first = head[layout.data_line : layout.data_line + 1]
         if not first or len(split_line(first[0], layout.delimiter)) == n_cells:
             return ()
-    first = "the header" if layout.header_line >= 0 else "the first row"
+    has_header = layout.header_line >= 0
+    first = "the header" if has_header else "the first row"
+    rows = [split_line(text, layout.delimiter) for text in head[layout.data_line :] if text.strip()]
+    by_number = _BY_NUMBER * (has_header and len(set(map(len, rows))) == 1 < len(rows[0]))
     known = [k for k, h in enumerate(layout.headings) if h.sure != UNKNOWN]
     least, short = max(known, default=n_cells) + 2, []
     with source.open(newline="") as stream:
@@ -327,7 +332,8 @@ def _require_even_rows(source, layout, head):
                 raise DataError(
                     f"this row has {len(row)} cells, {first} has {n_cells} "
                     f"({DELIMITER_NAMES[layout.delimiter]} between them)",
-                    file=source.path, row=line, remedy=f"every row needs as many cells as {first}",
+                    file=source.path, row=line,
+                    remedy=f"every row needs as many cells as {first}{by_number}",
                 )  # fmt: skip
     told = f"rows lack cells at their ends, which are not used: {len(short)}, the first is line"
     return (f"{told} {short[0]}",) if short else ()

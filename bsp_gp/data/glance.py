@@ -20,8 +20,8 @@ def columns_of(path, rename=None):
     list of dict
         ``theirs``, ``ours`` (empty if it means nothing to us), ``unit``, ``rows``.
     """
-    with open_source(path).open() as stream:
-        head = [line.rstrip("\n") for _, line in zip(range(N_LINES), stream, strict=False)]
+    source = open_source(path)
+    head = source.without_brackets(source.head(N_LINES)).head(N_LINES)
     layout = sniff(head, dict(rename or {}), ("t", "frame"), path)
     rows = [split_line(line, layout.delimiter) for line in head[layout.data_line :] if line.strip()]
     return [

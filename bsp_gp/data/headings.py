@@ -54,9 +54,7 @@ _SUBSCRIPT = re.compile(r"_\{([^{}]+)\}")
 _RUN = rf"(?:data ?set|latest|latest run|{'|'.join(sorted(words_for('run') - {'take'}))})"
 _RUN_NAME = re.compile(rf"{_RUN}\s*(?:#|nr\.?|no\.?)?\s*\d+")
 _RUN_BEFORE = re.compile(r"([^:\d][^:]*?)\s*:\s*(\S.*)")
-_RUN_AFTER = re.compile(
-    rf"(.*[^\s,;(])[\s,;]+\(?({_RUN_NAME.pattern})\)?(\s*[(\[][^)\]]*[)\]])?"
-)
+_RUN_AFTER = re.compile(rf"(.*[^\s,;(])[\s,;]+\(?({_RUN_NAME.pattern})\)?(\s*[(\[][^)\]]*[)\]])?")
 """Of headings without capitals and accents."""
 _BODY_BEFORE = re.compile(r"(.*[^\s_.:-])[\s_.:-]+([vs]?[xyz]|t)", re.IGNORECASE)
 _UNGLUED = re.compile(r"^([xyzXYZ])([a-zA-Z]{3,})$")
@@ -113,6 +111,8 @@ _GLUED = re.compile(
     r"|(angle|winkel|theta|phi|alpha)(deg|degrees|rad)", re.IGNORECASE
 )  # fmt: skip
 """A name with its unit behind it: ``tdays``, ``Angledeg``."""
+_G_FORCE = re.compile(r"gF[xyz]|TgF")
+"""What a phone's accelerometer shows in units of gravity, as Physics Toolbox names it."""
 _OFFSET = re.compile(
     r"(?:d|delta|δ|∆|rel)(ra|dec)l?(?:off|offset)?|(ra|dec)l?(?:off|offset|rel)", re.IGNORECASE
 )
@@ -263,6 +263,7 @@ def run_of(title):
 def is_acceleration(text):
     """Whether a heading speaks of an acceleration."""
     is_symbol = re.fullmatch(r"(?:a|acc|accel)[\s_]?[xyz]", text.strip().lower()) is not None
+    is_symbol = is_symbol or _G_FORCE.fullmatch(text.strip()) is not None
     return is_symbol or bool(_words(text) & _ACCELERATION_WORDS)
 
 
@@ -365,12 +366,39 @@ def headings(cells, rename=None, *, is_track=True):
     back = _of_every_run(back) if is_track else back
     found = [_read(cell, back, is_track, ignored) for cell in cells]
     if is_track:
-        found = _without_sensors(found)
+        found = _without_sensors(_as_said(found))
         found = _with_angles(_with_polar_errors(_turned(_with_bodies(found))))
         found = _with_dates(found)
         found = [_guessed(h, {f.name for f in found}) for h in found]
         found = _with_errors(_with_clock(found))
     return tuple(_settled(found))
+
+
+def _as_said(found):
+    """Beside places that the caller names: no others of these names, and none of other owners.
+
+    Of whose places the caller leaves out nothing else is taken for a place.
+    """
+    said = [h for h in found if h.is_renamed and _of_body(h).name in _PLACES]
+    names = {_of_body(h).name for h in said}
+    owners = {_run_of(plain_signs(h.theirs))[0] for h in said}
+    plain = [_read(h.theirs, {}, True) for h in found if h.ignored]
+    left = {h.run for h in plain if h.name in _PLACES}
+    out = []
+    for h in found:
+        if h.run in left and h.sure == UNKNOWN and not is_run(h.run):
+            h = replace(h, name=h.stem, run="")
+        is_owned = bool(h.run) and not is_run(h.run)
+        is_twice = not h.run and h.name in names and h.sure != UNKNOWN
+        if not said or h.is_renamed or h.ignored or not (is_owned or is_twice):
+            out.append(h)
+        elif h.run in owners and h.sure != UNKNOWN and h.name not in names:
+            out.append(replace(h, run=""))
+        elif h.stem == h.name:  # it is called as ours is
+            out.append(Heading("", h.unit, h.theirs, ignored=h.theirs))
+        else:
+            out.append(replace(h, name=h.stem, sure=UNKNOWN, run=""))
+    return out
 
 
 def _without_sensors(found):
@@ -395,8 +423,11 @@ def _of_every_run(back):
 
 def _with_clock(found):
     """The only column with a unit of time as the time, where there is no other."""
-    clocks = [h for h in found if h.sure == UNKNOWN and not h.ignored
-              and h.unit and unit_of(h.unit) == _TIME]
+    clocks = [
+        h
+        for h in found
+        if h.sure == UNKNOWN and not h.ignored and h.unit and unit_of(h.unit) == _TIME
+    ]
     if len(clocks) != 1 or any(h.name in ("t", "frame") for h in found):
         return found
     return [replace(h, name="t", sure=GUESS) if h is clocks[0] else h for h in found]
@@ -421,6 +452,7 @@ def _read(cell, back, is_track, ignored=()):
         run, rest = "", rest if is_run(run) else cell
     rest = rest if rest in back else _SUBSCRIPT.sub(r" \1", rest)
     stem, unit = _split_unit(rest, back, is_track)
+    unit = "g" if not unit and _G_FORCE.fullmatch(stem) else unit
     bare = re.sub(r"\s*[(\[{<].*$", "", rest)  # before what is no unit that we know
     for text in (cell, rest, stem, bare):
         if text in ignored:
@@ -561,7 +593,7 @@ def _with_errors(found):
         if not match:
             continue
         text = match[1] or match[2]
-        place = places.get((h.run, text)) if text else before if before in known else None
+        place = _place_of(places, h.run, text) if text else before if before in known else None
         if place and (not h.unit or unit_of(h.unit) == unit_of(place.unit or "m")):
             errors.setdefault(place.owner, {}).setdefault(f"s{place.name}", []).append(h)
     of = {}
@@ -573,6 +605,14 @@ def _with_errors(found):
         replace(h, name=of[id(h)][0], body=of[id(h)][1], sure=GUESS) if id(h) in of else h
         for h in found
     ]
+
+
+def _place_of(places, run, text):
+    """The place that is called so, or of which that is the beginning: ``Dist`` of ``Distance``."""
+    if (run, text) in places or len(text) < 3:
+        return places.get((run, text))
+    begun = {id(h): h for (own, name), h in places.items() if own == run and name.startswith(text)}
+    return next(iter(begun.values())) if len(begun) == 1 else None
 
 
 def _plain(heading):
@@ -814,7 +854,8 @@ def _is_in_first_unit(heading, found):
 
 def told(found):
     """A note of what was guessed, empty without; and which option names another."""
-    guesses = list({(h.name, h.body): h for h in reversed(found) if h.sure == GUESS}.values())[::-1]
+    guessed = [h for h in reversed(found) if h.sure == GUESS and not h.is_renamed]
+    guesses = list({(h.name, h.body): h for h in guessed}.values())[::-1]
     if not guesses:
         return ""
     ours = {h.name: h for h in found}
@@ -828,7 +869,4 @@ def told(found):
     )
     names = dict.fromkeys(back.get(h.name, h.name) for h in guesses if not h.body)
     options = " ".join(f"{name}=NAME" for name in names) or "BODY_x=NAME BODY_y=NAME"
-    return in_python(
-        f"{BY_WORDS}: {listed}; if one is not that, say which is: --columns "
-        f"{options}"
-    )
+    return in_python(f"{BY_WORDS}: {listed}; if one is not that, say which is: --columns {options}")

@@ -222,6 +222,17 @@ class _Track:
         return np.concatenate([p, v, p * p, far, speed, speed**2], axis=1)
 
     @cached_property
+    def ways(self):
+        """Length of the way so far, and distance from the first place; at a row, or at the next.
+
+        Programs that measure films write them beside the places, (T, 4).
+        """
+        steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
+        gone = np.concatenate([[0.0], np.cumsum(steps)])
+        far = np.linalg.norm(self.places - self.places[0], axis=1)
+        return np.stack([gone, [*gone[1:], gone[-1]], far, [*far[1:], far[-1]]], axis=1)
+
+    @cached_property
     def differences(self):
         """Second differences of places shifted by rows, and of speeds made of them, (T - 8, f)."""
         n = len(self.times) - 2 * TAPS
@@ -265,6 +276,8 @@ def _follows(tracks, name, values, columns):
         return True
     if beside([track.motion for track in tracks]) < AS_MOTION:
         return True
+    if _are_ways(tracks, own):
+        return True
     long = [k for k, track in enumerate(tracks) if len(track.times) >= LEAST_ROWS]
     if long:
         quick = np.concatenate([np.diff(own[k][TAPS:-TAPS], 2) for k in long])
@@ -272,6 +285,16 @@ def _follows(tracks, name, values, columns):
         if _left(quick, made) < AS_DIFFERENCES:
             return True
     return bool(columns) and _left(values, np.stack(columns, axis=1)) < AS_OTHER
+
+
+def _are_ways(tracks, own):
+    """Whether values are ways or distances, but at ends, where programs write what they like."""
+    inner = [(track.ways[1:-1], v[1:-1]) for track, v in zip(tracks, own, strict=True)]
+    inner = [(ways - ways.mean(axis=0), v - v.mean()) for ways, v in inner if len(v) > TAPS]
+    if not inner:
+        return False
+    ways, values = (np.concatenate(each) for each in zip(*inner, strict=True))
+    return min(_left(values, ways[:, [k]]) for k in range(ways.shape[1])) < AS_PLACE
 
 
 def _left(values, columns):

@@ -252,4 +252,8 @@ def _predicting(nodes, at, degree):
     powers = s[..., None] ** np.arange(degree + 1)
     gram = np.swapaxes(powers, 1, 2) @ powers
     first = np.eye(degree + 1)[None, :, :1]
-    return (powers @ np.linalg.solve(gram, first))[..., 0]
+    try:
+        found = np.linalg.solve(gram, first)
+    except np.linalg.LinAlgError:  # most of the times are one, beside one that is far off
+        found = np.linalg.pinv(gram, hermitian=True) @ first
+    return (powers @ found)[..., 0]

@@ -27,7 +27,7 @@ from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
 _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
-_WHOLE = frozenset("absolute absolut abs magnitude betrag total norm".split())
+_WHOLE = frozenset("absolute absolut abs magnitude betrag total norm tgf".split())
 PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
 DATES = (YEARS, JULIAN, (4.0e4, 7.0e4))
@@ -123,10 +123,9 @@ def _misnamed(table, declaration):
 
 
 def _of_sensor(table, declaration, is_kind):
-    """Axis -> column x, y or z of a sensor of one kind; the lone one if all goes along that."""
-    axes = [axis for axis, unit in _misnamed(table, declaration).items() if is_kind(unit)]
-    lone = _lone(table, axes)
-    return {"x": lone[0]} if len(lone) == 1 else {axis: axis for axis in axes}
+    """Columns x, y, z of a sensor of one kind, by their axes; {} of others."""
+    units = _misnamed(table, declaration)
+    return {axis: axis for axis, unit in units.items() if is_kind(unit)}
 
 
 def _is_rate(unit):
@@ -141,7 +140,7 @@ def _velocities(table, declaration):
         return {"x": known["z"]} if list(known) == ["z"] else known
     turned = _of_sensor(table, declaration, lambda unit: _is_turn("", unit))
     if turned:
-        return turned
+        return _moved(table, turned)
     units = {name: declaration.units.get(name, table.units.get(name, "")) for name in columns}
     theirs = {name: table.theirs.get(name, table.unused.get(name, name)) for name in columns}
     others = [n for n in table.unused if n in columns and not is_own_speed(theirs[n])]
@@ -162,7 +161,14 @@ def _velocities(table, declaration):
 
 
 def _accelerations(table, declaration):
-    """Axis -> column of accelerations; empty where there is none."""
+    """Axis -> column of accelerations along which something moves; empty where there is none."""
+    found = _all_accelerations(table, declaration)
+    is_said = any(f"a{axis}" in declaration.columns for axis in "xyz")
+    return found if is_said else _moved(table, found)
+
+
+def _all_accelerations(table, declaration):
+    """Axis -> column of accelerations, of all axes of a sensor; empty where there is none."""
     columns = list(map(str, table.frame.columns))
     known = {axis: f"a{axis}" for axis in "xyz" if f"a{axis}" in declaration.columns}
     if known:
@@ -183,12 +189,18 @@ def _accelerations(table, declaration):
     ]  # fmt: skip
     parts = [name for name in found if not _words(theirs[name]) & _WHOLE] or found
     axes = [_axis_in(theirs[name]) for name in parts]
-    lone = _lone(table, parts)
-    if len(lone) == 1:
-        return {"x": lone[0]}
     if len(set(axes) - {""}) < len(axes):
-        _refuse_several(table, [theirs[n] for n in parts], ACCELERATIONS)
+        lone = _lone(table, parts)
+        if len(lone) > 1:
+            _refuse_several(table, [theirs[n] for n in parts], ACCELERATIONS)
+        return {"x": lone[0]} if lone else {}
     return dict(sorted(zip(axes, parts, strict=True)))
+
+
+def _moved(table, found):
+    """The one axis, called x, along which or about which all moves; all where there is none."""
+    lone = _lone(table, list(found.values()))
+    return {"x": lone[0]} if len(lone) == 1 else found
 
 
 def _refuse_several(table, headings, velocity):
@@ -204,7 +216,7 @@ def _refuse_several(table, headings, velocity):
 
 def _axis_in(text):
     """The axis that a heading names: the last of its letters x, y, z that stand alone; or ""."""
-    before = r"(?:(?<![a-z])|(?<=\ba)|(?<=\bacc)|(?<=\baccel))"
+    before = r"(?:(?<![a-z])|(?<=\ba)|(?<=\bacc)|(?<=\baccel)|(?<=\bgf))"
     found = re.findall(rf"{before}([xyz])(?![a-z])", text.lower())
     return found[-1] if found else ""
 
@@ -236,7 +248,30 @@ def _rates(table, declaration, found, velocity):
     """What columns are added up, in which units."""
     headings = tuple(table.theirs.get(n, table.unused.get(n, n)) for n in found.values())
     scale, units = _scale(table, declaration, found, velocity)
-    return Rates(found, velocity, scale, units, headings)
+    if velocity == VELOCITIES:
+        return Rates(found, velocity, scale, units, headings)
+    sensed = _all_accelerations(table, declaration).values()
+    sensed = {n: table.theirs.get(n, table.unused.get(n, n)) for n in sensed}
+    metric = _metric(table, declaration, found)
+    return Rates(found, velocity, scale, units, headings, sensed, metric)
+
+
+def _metric(table, declaration, found):
+    """What a value of accelerations is in m/s^2; 0 of what turns, or is in pixels.
+
+    What has no unit is in the unit of lengths, or in that of which gravity is 9.81.
+    """
+    said = declaration.units
+    plain = said.get("acceleration", "")
+    text = next((said.get(n, plain or table.units.get(n, "")) for n in found.values()), "")
+    if text in GRAVITIES:
+        return GRAVITIES[text]
+    if not text:
+        length = said.get("length", "m")
+        is_known = _is(length, _LENGTH) and "px" not in length.lower()
+        return parse_unit(length)[0] if is_known else 0.0
+    is_known = _is(text, ACCELERATION) and "px" not in text.lower()
+    return parse_unit(text)[0] if is_known else 0.0
 
 
 def _scale(table, declaration, found, velocity):

@@ -1,10 +1,18 @@
 """The layout of a delimited file, guessed from its first lines."""
 
-import csv
 import re
 from dataclasses import dataclass
 
 from bsp_gp.data.conversion import is_unit
+from bsp_gp.data.header_lines import (
+    COMMENT,
+    below,
+    header_cells,
+    is_rule,
+    names_in,
+    ruled_names,
+    split_line,
+)
 from bsp_gp.data.headings import (
     TEXT_COLUMNS,
     Heading,
@@ -21,7 +29,6 @@ MOST_SHOWN = 6
 """Cells of a row that a complaint shows."""
 _DELIMITERS = (",", ";", "\t", None)
 DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
-_COMMENT = re.compile(r"^\ufeff?[#%]\s*")
 _BRACKETS = re.compile(r"[(\[].*[)\]]")
 _DIALECT = re.compile(r"^\ufeff?\"?sep=", re.IGNORECASE)
 """The line by which Excel is told of a delimiter."""
@@ -57,13 +64,6 @@ class Layout:
         return tuple(heading.name for heading in self.headings)
 
 
-def split_line(line, delimiter):
-    """Cells of one line; the delimiter None is white space."""
-    if delimiter is None:
-        return tuple(line.split())
-    return tuple(cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), []))
-
-
 def sniff(head, rename, marks, path):
     """Guess the layout of a file.
 
@@ -84,16 +84,20 @@ def sniff(head, rename, marks, path):
     if bare is not None:
         return bare
     said = {*rename, *rename.values()}
-    for number, line in enumerate(head):
+    for number in range(len(head)):
         for delimiter in _DELIMITERS:
-            cells = _without_idle_end(head, number, delimiter, _header_cells(line, delimiter, said))
+            cells = names_in(head, number, delimiter, said)
+            cells = _without_idle_end(head, number, delimiter, cells)
             if is_track and (len(cells) < 2 or not _is_even(head, number, delimiter, cells)):
                 continue
             found = headings(cells, rename, is_track=is_track)
             if {h.name for h in found} & set(marks) and (not is_track or has_place(found)):
                 return _finish(head, number, delimiter, found)
+    ruled = ruled_names(head) if is_track else None
+    if ruled is not None:
+        return _finish(head, ruled[0], None, headings(ruled[1], rename))
     number, delimiter = _likely_header(head)
-    cells = _header_cells(head[number], delimiter, said)
+    cells = names_in(head, number, delimiter, said)
     cells = _without_idle_end(head, number, delimiter, cells)
     _require_names_of_all(head, number, delimiter, cells, path)
     n_numbers, n_filled = sum(map(_is_number, cells)), len(list(filter(None, cells)))
@@ -111,7 +115,7 @@ def _without_header(head, rename):
 
     Where nobody says which column is which, they are t, x, y and z, if the first is a time.
     """
-    first = next((k for k, s in enumerate(head) if s.strip() and not _COMMENT.match(s)), len(head))
+    first = next((k for k, s in enumerate(head) if s.strip() and not COMMENT.match(s)), len(head))
     said = {theirs.strip() for theirs in rename.values() if _is_number(theirs)}
     names = {theirs for ours, theirs in rename.items() if ours in TEXT_COLUMNS}
     filled = [k for k in range(first, len(head)) if head[k].strip()]
@@ -122,7 +126,7 @@ def _without_header(head, rename):
         first = filled[n_above]
         rows, delimiter = _rows_of_numbers(lines[n_above:], said - names)
     numbers = [str(k + 1) for k in range(len(rows[0]))] if rows else []
-    named = {} if said or any(map(_COMMENT.match, head)) else _named_by_place(rows, rename)
+    named = {} if said or any(map(COMMENT.match, head)) else _named_by_place(rows, rename)
     if not named and not (said and said <= set(numbers)):
         return None
     options = " ".join(f"{name}={number}" for name, number in named.items())
@@ -162,7 +166,8 @@ def _rows_of_numbers(lines, said):
         by_number = [cells[int(k) - 1] for k in said if k.isdecimal() and 0 < int(k) <= len(cells)]
         is_told = len(by_number) == len(said) > 0 and not said <= set(cells)
         if all(_is_number(cell or "0") for cell in (by_number if is_told else cells)):
-            return [split_line(line, delimiter) for line in lines], delimiter
+            if any(by_number if is_told else cells):
+                return [split_line(line, delimiter) for line in lines], delimiter
     return [], None
 
 
@@ -182,7 +187,7 @@ def _named_by_place(rows, rename):
 
 def _require_names_of_all(head, number, delimiter, cells, path):
     """DataError where a comment names some of the columns: nobody knows which."""
-    row = split_line(_below(head, number), delimiter) if _COMMENT.match(head[number]) else ()
+    row = split_line(below(head, number), delimiter) if COMMENT.match(head[number]) else ()
     if len(row) > len(cells) and all(_is_number(cell or "0") for cell in row):
         raise DataError(
             f"the header has {len(cells)} name(s), and the rows have {len(row)} columns; the first "
@@ -200,7 +205,8 @@ def _remedy_of_numbers(cells):
             "there are in a second: --columns x=1 --fps 25 (of speeds, vx=1)"
         )
     remedy = "add a header such as t,x,y, or say which column is which by its number: "
-    by_number = "--columns t=1 x=2 (t=2 x=3 where the first counts rows or bodies)"
+    by_number = "--columns t=1 x=2 (t=2 x=3 where the first counts rows or bodies"
+    by_number += "; t=1 ax=2 ay=3 az=4 of accelerations)" if len(cells) > 3 else ")"
     if _are_places(cells):
         by_number += ", if that line is a row; if it numbers the columns itself, --columns t=0 x=1"
     return remedy + by_number
@@ -217,48 +223,45 @@ def _is_even(head, number, delimiter, cells):
     Tabs do so unless they are mixed with blanks, and any white space would be even.
     """
     if delimiter == "\t":
-        rows = [line for line in head[number:] if line.strip() and not _COMMENT.match(line)]
+        rows = [line for line in head[number:] if line.strip() and not COMMENT.match(line)]
         tabs, blanks = ({len(split_line(row, mark)) for row in rows} for mark in ("\t", None))
         return len(tabs) < 2 or len(blanks) > 1
-    below = _below(head, number).split()
-    return delimiter is not None or not below or len(below) == len(cells)
+    row = below(head, number).split()
+    return delimiter is not None or not row or len(row) == len(cells)
 
 
 def _without_idle_end(head, number, delimiter, cells):
     """Names of a header without the delimiter at its end, where the row below has none there."""
-    n_below = len(split_line(_below(head, number), delimiter))
+    n_below = len(split_line(below(head, number), delimiter))
     return cells[:-1] if cells and not cells[-1] and 0 < n_below < len(cells) else cells
 
 
-def _below(head, number):
-    """The first line below one that is no comment, if that is one; else the next line."""
-    lines = head[number + 1 :]
-    if _COMMENT.match(head[number]):
-        lines = [line for line in lines if not _COMMENT.match(line)]
-    return lines[0] if lines else ""
-
-
-def _header_cells(line, delimiter, said=()):
-    """Names of a header; its mark is one of a comment, unless a name is said with it (%time)."""
-    cells = split_line(line, delimiter)
-    is_name = bool(cells) and cells[0] in said
-    return cells if is_name else split_line(_COMMENT.sub("", line), delimiter)
-
-
 def _likely_header(head):
-    """Number and delimiter of the line above the first row of numbers, else of the first line."""
-    for number, line in enumerate(head[:-1]):
+    """Number and delimiter of the line above the first row of numbers, else of the first line.
+
+    Titles that are padded to the length of the rows are no names.
+    """
+    for number in range(len(head) - 1):
         for delimiter in _DELIMITERS:
-            cells = _header_cells(line, delimiter)
-            row = split_line(_below(head, number), delimiter)
+            cells = names_in(head, number, delimiter)
+            row = split_line(below(head, number), delimiter)
             is_row = len(row) == len(cells) > 1 and all(_is_number(c or "0") for c in row)
-            if is_row and any(row) and not any(map(_is_number, cells)):
+            is_named = not any(map(_is_number, cells)) and not is_rule(head[number])
+            if is_row and any(row) and is_named:
                 is_of_units = all(_BRACKETS.fullmatch(cell) for cell in cells if cell)
                 return (number - 1 if is_of_units and number else number), delimiter
-    number = next(k for k, line in enumerate(head) if line.strip())
+    first = number = next(k for k, line in enumerate(head) if line.strip())
     counts = {mark: len(split_line(head[number], mark)) for mark in _DELIMITERS}
     marked = [mark for mark in _DELIMITERS[:-1] if counts[mark] > 1]
-    return number, max(marked or _DELIMITERS, key=counts.get)
+    delimiter = max(marked or _DELIMITERS, key=counts.get)
+    while number < len(head) - 1 and _is_padded(split_line(head[number], delimiter)):
+        number += 1
+    return (first if _is_padded(split_line(head[number], delimiter)) else number), delimiter
+
+
+def _is_padded(cells):
+    """Whether most cells of a line are empty."""
+    return len(cells) > 2 and 2 * sum(map(bool, cells)) < len(cells)
 
 
 def _finish(head, number, delimiter, found):
@@ -267,8 +270,8 @@ def _finish(head, number, delimiter, found):
     delimiter = _of_rows(head, number, delimiter, len(found))
     # Below the names there may be others (symbols; a program's own words) and the units.
     for line in range(number + 1, min(number + 4, len(head))):
-        row = _header_cells(head[line], delimiter)
-        if len(row) != len(found) and delimiter is None and _COMMENT.match(head[line]):
+        row = header_cells(head[line], delimiter)
+        if len(row) != len(found) and delimiter is None and COMMENT.match(head[line]):
             row = _under(head[number], head[line])
         is_marked = all(_BRACKETS.fullmatch(cell) for cell in row if cell)
         row = tuple(cell.strip("()[] ") for cell in row)
@@ -278,13 +281,13 @@ def _finish(head, number, delimiter, found):
             break
         if len(row) != len(found) or any(map(_is_number, row)):
             break
-    if _COMMENT.match(head[number]):  # the names stand in a comment, and more may follow
-        while data_line < len(head) and _COMMENT.match(head[data_line]):
+    if COMMENT.match(head[number]):  # the names stand in a comment, and more may follow
+        while data_line < len(head) and COMMENT.match(head[data_line]):
             data_line += 1
-    below = split_line(head[data_line], delimiter) if data_line < len(head) else ()
-    if below and all(re.fullmatch("-{2,}", cell) for cell in below):  # a rule under the header
+    cells = split_line(head[data_line], delimiter) if data_line < len(head) else ()
+    if cells and all(is_rule(cell) for cell in cells):  # a rule under the header
         data_line += 1
-    title = split_line(_COMMENT.sub("", head[number - 1]), delimiter) if number else ()
+    title = split_line(COMMENT.sub("", head[number - 1]), delimiter) if number else ()
     if number and _DIALECT.match(head[number - 1]):
         title = ()
     if number > 1 and len(title) == len(found):
@@ -295,9 +298,9 @@ def _finish(head, number, delimiter, found):
 
 def _of_rows(head, number, delimiter, n_cells):
     """What tells cells of rows apart, where that is another than in the header."""
-    below = _below(head, number)
-    others = [mark for mark in _DELIMITERS[:-1] if len(split_line(below, mark)) == n_cells > 1]
-    is_other = others and len(split_line(below, delimiter)) == 1
+    row = below(head, number)
+    others = [mark for mark in _DELIMITERS[:-1] if len(split_line(row, mark)) == n_cells > 1]
+    is_other = others and len(split_line(row, delimiter)) == 1
     return others[0] if is_other else delimiter
 
 

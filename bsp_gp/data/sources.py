@@ -16,6 +16,7 @@ from bsp_gp.data.preambles import HEADS, without_preamble
 from bsp_gp.data.records import ENDINGS as RECORDS
 from bsp_gp.data.records import as_table
 from bsp_gp.data.words import n_known_words
+from bsp_gp.data.zipped import is_book, is_zip, unpacked
 from bsp_gp.errors import DataError, MissingDependencyError
 
 MAX_BYTES = 4 * 2**30
@@ -36,6 +37,9 @@ _ENCODINGS = ("cp1252", "cp1250", "cp1251", "gb18030", "big5", "shift_jis", "euc
               "mac_roman", "cp437")  # fmt: skip
 _HEAD_BYTES = 1 << 14
 _NUMBER = re.compile(r"[-+\d.,eE]+")
+_OPENED = re.compile(r"(?:\w+\s*=\s*)?[\[(]+\s*[-+]?\.?\d[-+\d.,;eE\s\])]*")
+"""The first row of a matrix: ``[ 0 0.0 2;``, ``data = [1, 2``, ``[[0.1 0.2]``."""
+_OPENING = re.compile(r"(?:\w+\s*=\s*)?[\[(]+")
 _WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
@@ -66,9 +70,37 @@ class Source:
             return io.StringIO(self.text, newline=newline)
         return self.path.open(encoding=self.encoding, newline=newline)
 
+    def head(self, count):
+        """The first lines, without their ends."""
+        with self.open() as stream:
+            return [line.rstrip("\n") for _, line in zip(range(count), stream, strict=False)]
+
     @property
     def for_pandas(self):
         return self.path if self.text is None else io.StringIO(self.text)
+
+    def without_brackets(self, head):
+        """The same without the brackets of a matrix around its rows, as MATLAB and numpy print it.
+
+        Parameters
+        ----------
+        head : sequence of str
+            The first lines.
+        """
+        first = next((k for k, line in enumerate(head) if _OPENED.fullmatch(line.strip())), None)
+        if first is None:
+            return self
+        with self.open() as stream:
+            lines = stream.read().split("\n")
+        last = next((k for k in range(len(lines) - 1, first, -1) if lines[k].strip()), first)
+        if "]" not in lines[last]:
+            return self
+        for k in range(first, last + 1):
+            line = lines[k].strip().removesuffix(",").rstrip(" \t;])")
+            lines[k] = line[_OPENING.match(line).end() :] if _OPENING.match(line) else line
+        text = "\n".join(lines)
+        note = f"brackets around the rows are left out, from line {first + 1} on"
+        return replace(self, text=text, counts=_counts(text), notes=(*self.notes, note))
 
     def without_comments(self, above):
         """The same with blank lines for comments (#) below the header, where few lines are; a note.
@@ -128,6 +160,8 @@ def open_source(path, names=()):
     if path.suffix.lower() in arrays.ENDINGS:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
         return _made(Source(path, digest, {}), *arrays.as_table(path))
+    if is_zip(path):
+        return _workbook(path) if is_book(path) else _of_archive(path, names)
     source = _text_file(path, names)
     if path.suffix.lower() in gps.ENDINGS:
         with source.open() as stream:
@@ -136,6 +170,24 @@ def open_source(path, names=()):
         with source.open() as stream:
             return _made(source, as_table(stream.read(), path))
     return source
+
+
+def _of_archive(path, names):
+    """The source of the one table in an archive."""
+    with unpacked(path) as (file, note):
+        try:
+            if is_zip(file) and not is_book(file):
+                raise DataError("it is a ZIP archive itself", remedy="unpack both")
+            source = open_source(file, names)
+            with source.open() as stream:
+                text = stream.read()
+        except DataError as error:
+            raise DataError(
+                error.problem, file=f"{path}, {file.name} in it", row=error.row,
+                column=error.column, remedy=error.remedy,
+            ) from None  # fmt: skip
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return Source(path, digest, _counts(text), text=text, notes=(note, *source.notes))
 
 
 def _made(source, text, notes=()):

@@ -7,7 +7,7 @@ known either.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ from scipy import ndimage, sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import spsolve
 
+from bsp_gp.data.gravity import GRAVITY, OFF, is_without, pull_in, told_off, told_turned
 from bsp_gp.data.point_errors import gross_errors
 from bsp_gp.data.roster import fail_at, numbers_of
 from bsp_gp.data.scene import SUMS
@@ -42,8 +43,8 @@ SLOWER = 10.0
 1e-4, places by what errors add up to within so many periods."""
 QUIET, LEAST_STILL = 4.0, 10
 """Standard deviations of the noise up to which values are those at rest, and rows of a rest."""
-GRAVITY, ZERO = 9.81, 0.3
-"""What an accelerometer shows at rest, and what its zero may be off by, m/s^2."""
+ZERO = 0.3
+"""What the zero of an accelerometer may be off by, m/s^2."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,10 @@ class Rates:
         Units of the places, by axis; empty = not known.
     headings : tuple of str
         Of the columns in the file.
+    sensed : mapping of str to str
+        Column -> heading of all axes of a sensor, of which some may show no motion.
+    metric : float
+        What a value is in m/s^2; 0 where that is not known.
     """
 
     columns: Mapping[str, str]
@@ -69,6 +74,8 @@ class Rates:
     scale: float
     units: Mapping[str, str]
     headings: tuple[str, ...]
+    sensed: Mapping[str, str] = field(default_factory=dict)
+    metric: float = 0.0
 
     @property
     def order(self):
@@ -102,8 +109,12 @@ def summed(table, declaration, rates):
             f"there are no places, and no track has four {many}", file=table.file,
             column=next(iter(found.values())),
         )  # fmt: skip
+    plain, weight = rates, ()
+    if rates.order == 2 and rates.metric:
+        values, weight = _without_gravity(table, times, values, pieces, rates)
+        plain = replace(rates, scale=rates.scale / rates.metric)
     frame = pd.concat([
-        _track(table, times[part], values[part], part, rates)
+        _track(table, times[part], values[part], part, plain)
         .assign(**_named(table, part, k, len(parts)))
         for parts in pieces.values() for k, part in enumerate(parts, 1)
     ])  # fmt: skip
@@ -115,11 +126,44 @@ def summed(table, declaration, rates):
         table, frame=frame, units=units, untimed="",
         theirs={**table.theirs, **dict(zip(found, rates.headings, strict=True))},
         unused={k: v for k, v in table.unused.items() if k not in found.values()},
-        notes=(*table.notes, *_notes(rates, pieces, (far, twice), len(times))),
+        notes=(*table.notes, *_notes(rates, pieces, (far, twice), len(times)), *weight),
     )  # fmt: skip
     said = {name: unit for name, unit in declaration.units.items() if name not in found.values()}
     noise = _noise(declaration, times, rates)
     return table, replace(declaration, velocity=rates.velocity, noise=noise, units=said)
+
+
+def _without_gravity(table, times, values, pieces, rates):
+    """Values (n, d) in m/s^2 less the gravity that is in them, by track, and notes of that."""
+    values, notes = rates.metric * values, []
+    shown = rates.metric * np.stack([numbers_of(table, name) for name in rates.sensed], axis=1)
+    own = [list(rates.sensed).index(name) for name in rates.columns.values()]
+    headings = list(rates.sensed.values())
+    for name, parts in pieces.items():
+        if not parts:
+            continue
+        rows, who = np.concatenate(parts), "" if len(pieces) == 1 else str(name)
+        pull = pull_in(shown[rows], headings)
+        if pull is not None and pull.is_turned:
+            notes.append(told_turned(who))
+            continue
+        rest = _weight_at_rest(times, shown[:, own], parts) if pull is None else None
+        if pull is not None:
+            values[rows] -= pull.usual[own]
+            notes.append(told_off(pull.usual, headings, who))
+        elif rest is not None and not any(map(is_without, headings)):
+            values[rows] -= rest
+            notes.append(told_off(rest, rates.headings, who))
+    return values, tuple(notes)
+
+
+def _weight_at_rest(times, shown, parts):
+    """What is shown (n, d) at quiet ends, or by what swings, where that is gravity; else None."""
+    whole = shown[np.concatenate(parts)]
+    is_swung = all(_swing(times[part], shown[part]) for part in parts)
+    level = np.median(whole, axis=0) if is_swung else _at_rest(shown[parts[0]])[1]
+    off = abs(np.linalg.norm(level) - GRAVITY)
+    return level if off <= (OFF * GRAVITY if is_swung else ZERO) else None
 
 
 def _pieces(table, times, values, rates):

@@ -36,6 +36,7 @@ from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
 from bsp_gp.data.logged import named_of
+from bsp_gp.data.meeting import without_meetings
 from bsp_gp.data.on_maps import from_maps
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
 from bsp_gp.data.polar_words import plain_words
@@ -50,6 +51,7 @@ from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.twice import by_date, measures_at_once, without_copies, without_slips
+from bsp_gp.data.uncalibrated import without_other_units
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError, UnitError, in_python
 from bsp_gp.output.mark import read_mark
@@ -326,6 +328,7 @@ def _assemble(table, roster, declaration, default_name):
     declaration, input_notes = _with_inputs(table, declaration)
     table = from_maps(table, declaration)
     table, declaration = from_rates(table, declaration)
+    table = without_other_units(table, declaration)
     declaration = _with_angles(table, declaration)
     table, declared = from_polar(
         table, declaration.units, start=declaration.angle_from or "x",
@@ -360,6 +363,7 @@ def _assemble(table, roster, declaration, default_name):
     rows, twice = measures_at_once(rows)
     rows, slips = without_slips(rows)
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
+    rows, met = without_meetings(rows) if roster is None else (rows, ())
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
     scenes = with_primary(scenes, roster) if is_star else scenes
     free = _free_of_the_sky(scenes, declaration, conversion.system)
@@ -383,6 +387,7 @@ def _assemble(table, roster, declaration, default_name):
         *twice,
         *slips,
         *apart,
+        *met,
         *still,
         *(roster.notes if roster else ()),
         *idle,

@@ -44,10 +44,10 @@ def by_date(rows):
         return rows, ()
     line = int(rows.lines[own[1:][is_back].min()])
     note = f"dates go back, first in line {line}: rows were put into the order of their dates"
-    return _taken(rows, order), (note,)
+    return taken(rows, order), (note,)
 
 
-def _taken(rows, chosen):
+def taken(rows, chosen):
     """Some rows, by their numbers."""
     taken = {
         name: getattr(rows, name)[chosen]
@@ -75,7 +75,7 @@ def without_copies(rows):
     lines = rows.lines[is_copy]
     told = f"left out (line {listed(lines, LISTED)})"
     note = f"{len(lines)} row(s) say time and place of the row before again: {told}"
-    return _taken(rows, np.flatnonzero(~is_copy)), (CHECK + note,)
+    return taken(rows, np.flatnonzero(~is_copy)), (CHECK + note,)
 
 
 def without_slips(rows):
@@ -95,7 +95,7 @@ def without_slips(rows):
     lines = rows.lines[is_slip]
     told = f"left out (line {listed(lines, LISTED)})"
     note = f"{len(lines)} row(s) have a time that is not after those before: {told}"
-    return _taken(rows, np.flatnonzero(~is_slip)), (CHECK + note,)
+    return taken(rows, np.flatnonzero(~is_slip)), (CHECK + note,)
 
 
 def measures_at_once(rows):
@@ -137,7 +137,7 @@ def measures_at_once(rows):
         f"{len(lines)} row(s) are at the time of the row before (line {told}) and agree with it: "
         "they are one measure, the mean weighted by their errors"
     )
-    return replace(_taken(rows, starts), positions=places, sigma=errors), (note,)
+    return replace(taken(rows, starts), positions=places, sigma=errors), (note,)
 
 
 def _observed_at_once(rows):
@@ -159,4 +159,4 @@ def _observed_at_once(rows):
         f"{len(lines)} row(s) have the date of the row before (line {listed(lines, LISTED)}): "
         "they are one observation, the median"
     )
-    return replace(_taken(rows, starts), positions=middles), (note,)
+    return replace(taken(rows, starts), positions=middles), (note,)

@@ -14,6 +14,8 @@ from bsp_gp.report.numbers import format_number, with_unit
 from bsp_gp.units import Unit
 
 MAX_PANELS = 6
+FAR = 2.0
+"""Times how long a recording takes, from which on its times are far from 0."""
 _MAX_NAMES = 8
 _LENGTH, _TIME, _MASS = Unit.of(m=1), Unit.of(s=1), Unit.of(kg=1)
 
@@ -88,14 +90,22 @@ def _scenes(dataset):
         steps = np.diff(times)
         is_even = np.ptp(steps) <= 0.01 * np.median(steps)
         step = format_number(float(np.median(steps)), 4)
+        first, last = (format_number(float(t), _digits(times)) for t in (times[0], times[-1]))
         out.append(
             f"Scene {scene.name}: {_counted(len(scene.times), 'row')}, t from "
-            f"{format_number(float(times[0]), 4)} to "
-            f"{with_unit(format_number(float(times[-1]), 4), unit)}, "
+            f"{first} to {with_unit(last, unit)}, "
             f"{'every' if is_even else 'mostly every'} {with_unit(step, unit)}"
         )
     left = len(dataset.scenes) - _MAX_NAMES
     return [*out, f"and {_counted(left, 'scene')} more"] if left > 0 else out
+
+
+def _digits(times):
+    """Digits of times: of dates, which are far from 0, as many as tell rows apart."""
+    size, step = float(np.abs(times).max()), float(np.median(np.diff(times)))
+    if size < FAR * np.ptp(times):
+        return 4
+    return int(np.clip(np.ceil(np.log10(size / step)) + 1, 4, 15))
 
 
 def _properties(dataset):

@@ -166,3 +166,78 @@ def test_drawn_errors_have_the_level(table, rng):
     errors = draw_noise(found.noise, found.channels, 3, rng)[:, :, 0]
     assert np.diff(errors, 2).std() == pytest.approx(found.noise.levels[0], rel=0.05)
     assert not errors[:, :2].any()
+
+
+def carried(rng, names=("Acceleration x", "Acceleration y", "Acceleration z"), weight=9.6):
+    """A telephone that is held flat, driven to and fro once along x, and held: times, headings."""
+    t = np.arange(300) * STEP
+    push = np.where((t > 1) & (t < 2), 3.0, 0.0) - np.where((t >= 2) & (t < 3), 3.0, 0.0)
+    trembling = 0.1 * np.sin(9 * t + rng.uniform(0, 6, 3)[:, None]) * (t < 0.9)
+    shown = np.stack([push + 0.5, np.full(300, 0.7), np.full(300, weight)]) + trembling
+    shown += SIGMA * rng.standard_normal(shown.shape)
+    return t, shown, [f"{name} (m/s^2)" for name in names]
+
+
+def shown_by(t, shown, names):
+    return pd.DataFrame(dict(zip(["t (s)", *names], [t, *shown], strict=True)))
+
+
+@pytest.mark.parametrize("unit, size", [("m/s^2", 1.0), ("g", 9.80665), ("cm/s^2", 0.01)])
+def test_gravity_is_taken_off_and_told(rng, unit, size):
+    t, shown, _ = carried(rng)
+    names = [f"Acceleration {axis} ({unit})" for axis in "xyz"]
+    data = Dataset.from_frames(shown_by(t, shown / size, names))
+    assert np.ptp(data.scenes[0].positions, axis=0).max() < 6.0  # not 9.6 * 6^2 / 2
+    (note,) = [note for note in data.notes if "gravity" in note]
+    assert "was taken off" in note and "9.6" in note and not note.startswith("check")
+
+
+def test_gravity_is_taken_off_where_one_axis_alone_shows_the_motion(rng):
+    t = np.arange(300) * STEP
+    lift = np.where((t > 1) & (t < 2), 1.0, 0.0) - np.where((t > 4) & (t < 5), 1.0, 0.0)
+    shown = np.stack([0 * t, 0 * t, 9.9 + lift]) + SIGMA * rng.standard_normal((3, 300))
+    data = Dataset.from_frames(shown_by(t, shown, [f"a{axis} (m/s^2)" for axis in "xyz"]))
+    assert data.scenes[0].n_dims == 1 or np.ptp(data.scenes[0].positions[:, 0, 1]) == 0
+    assert np.ptp(data.scenes[0].positions[:, 0, 0]) == pytest.approx(3.0, abs=0.4)
+    assert any("was taken off" in note and "9.9" in note for note in data.notes)
+
+
+def test_a_sensor_that_turns_is_told(rng):
+    t, shown, names = carried(rng)
+    turn = np.clip(t - 3.5, 0, 1) * np.pi / 2
+    shown = np.stack([shown[0], 9.7 * np.sin(turn), 9.7 * np.cos(turn)])
+    data = Dataset.from_frames(shown_by(t, shown, names))
+    (note,) = [note for note in data.notes if "gravity" in note]
+    assert note.startswith("check: ") and "turn" in note and "cannot be trusted" in note
+
+
+@pytest.mark.parametrize("case", ["small", "linear", "two axes"])
+def test_nothing_is_said_where_gravity_is_not_in_accelerations(rng, case):
+    t, shown, names = carried(rng, weight=0.1 if case == "small" else 9.7)
+    if case == "linear":
+        names = [f"Linear {name}" for name in names]
+    if case == "two axes":
+        shown, names = shown[:2], names[:2]
+    data = Dataset.from_frames(shown_by(t, shown, names))
+    assert not any("gravity" in note for note in data.notes)
+
+
+@pytest.mark.parametrize("columns", [None, {f"a{axis}": f"gF{axis}" for axis in "xyz"}])
+def test_forces_in_units_of_gravity_are_accelerations(tmp_path, rng, columns):
+    t, shown, _ = carried(rng)
+    table = shown_by(t, shown / 9.80665, [f"gF{axis}" for axis in "xyz"])
+    table.assign(TgF=1.0).rename(columns={"t (s)": "time"}).to_csv(tmp_path / "g.csv", index=False)
+    data = load_dataset(tmp_path / "g.csv", columns=columns)
+    assert any("was taken off" in note and "9.6" in note for note in data.notes)
+    assert np.ptp(data.scenes[0].positions, axis=0).max() < 6.0
+
+
+def test_columns_of_accelerations_without_a_header_are_named_by_their_numbers(tmp_path, rng):
+    t, shown, names = carried(rng)
+    table = shown_by(t, shown, names).assign(clock=1.6e18)
+    path = tmp_path / "bare.csv"
+    table[["clock", *table.columns[:-1]]].to_csv(path, index=False, header=False)
+    with pytest.raises(DataError, match="t=1 ax=2 ay=3 az=4 of accelerations"):
+        load_dataset(path)
+    data = load_dataset(path, columns={"t": "2", "ax": "3", "ay": "4", "az": "5"})
+    assert data.velocity == "unseen" and any("gravity" in note for note in data.notes)

@@ -208,3 +208,19 @@ def test_a_body_that_is_seen_once_has_no_motion_that_a_column_follows():
     places[0, 0] = 0.0
     alone = Dataset("d", (replace(scene, positions=places),), logged=data.logged)
     assert not asked_of(alone).logged
+
+
+@pytest.mark.parametrize("kind", ["way", "next way", "distance"])
+def test_the_way_of_a_track_is_no_cause(kind):
+    rng, t = np.random.default_rng(2), np.arange(80) / 30
+    x = np.round(30 * t + rng.normal(0, 0.05, 80), 2)
+    y = np.round(np.abs(40 * np.sin(3 * t)) + rng.normal(0, 0.05, 80), 2)
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    values = {
+        "way": way, "next way": np.append(way[1:] + 38.6, 0.0),
+        "distance": np.hypot(x - x[0], y - y[0]),
+    }  # fmt: skip
+    frame = pd.DataFrame({"t": t, "x": x, "y": y, "Length [m]": np.round(values[kind], 2)})
+    assert not _asked(frame).logged
+    frame["Length [m]"] += 0.2 * way.max() * np.sin(11 * t)
+    assert list(_asked(frame).logged) == ["Length"]

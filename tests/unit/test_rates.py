@@ -233,3 +233,12 @@ def test_what_says_how_sure_a_place_is_or_is_a_fit_is_no_error_of_a_velocity(tab
     data = Dataset.from_frames(frame)
     assert NoiseModel.of(data).sources[0] == "estimated"
     assert not any("error of the velocity" in note for note in data.notes)
+
+
+def test_a_time_that_is_absurdly_far_off_is_no_crash():
+    t = np.arange(14.0)
+    t[9:] += 1e20
+    with pytest.raises(DataError, match="times must increase"):
+        Dataset.from_frames(pd.DataFrame({"t (s)": t, "v (m/s)": np.cos(t % 7)}))
+    t = np.append(1e-9 * np.arange(9), 1e20 * np.arange(1, 9))
+    Dataset.from_frames(pd.DataFrame({"t (s)": t, "v (m/s)": np.cos(np.arange(17.0))}))

@@ -185,3 +185,10 @@ def test_markers_that_tracking_tools_lost_and_found_are_bodies(tmp_path):
     scene = load_dataset(written(tmp_path, lines)).scenes[0]
     assert scene.names == ("A", "B") and scene.n_dims == 3
     np.testing.assert_allclose(scene.positions[:, 1, 0], -X[1:])
+
+
+def test_dates_of_our_era_are_dates(tmp_path):
+    days = [f"A.D. 2025-Jul-{day:02} 00:00:00.0000" for day in range(1, 31)]
+    data = load_dataset(written(tmp_path, ["Date,X_AU,Y_AU", *rows(days, X, X**2)]))
+    np.testing.assert_allclose(data.scenes[0].times, 86400 * np.arange(30))
+    assert any("since 2025-07-01" in note for note in data.notes)
