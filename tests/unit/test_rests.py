@@ -9,7 +9,7 @@ import pytest
 import bsp_gp
 from bsp_gp.data.torn import without_torn_ends
 from bsp_gp.fitting.hypothesis import NOTHING, read_law
-from bsp_gp.fitting.rests import without_rests
+from bsp_gp.fitting.rests import without_rests, without_still_ends
 
 FALL = "9.81 [m/s^2] * m_i * down"
 SIGMA, STEP = 0.002, 0.02
@@ -125,3 +125,44 @@ def test_of_two_bodies_none_is_cut():
     found = bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s"})
     found = without_torn_ends(found)
     assert len(found.scenes[0].times) == 40
+
+
+def lone(y, seed=0, sigma=1e-3, step=STEP):
+    """A recording of one body along y."""
+    y = y + sigma * np.random.default_rng(seed).standard_normal(len(y))
+    frame = pd.DataFrame({"t": np.arange(len(y)) * step, "x": 0.0, "y": y})
+    return bsp_gp.Dataset.from_frames(frame, units={"length": "m", "time": "s"}, up="y")
+
+
+def kept_rows(dataset):
+    (scene,) = without_still_ends(dataset).scenes
+    return round(scene.times[0] / STEP), len(scene.times)
+
+
+def test_a_hand_that_trembles_and_a_first_row_that_is_off_hold_a_body_all_the_same():
+    """Of a ball that bounced the fall had been left out as a hand's, and the law was none."""
+    fall = 0.48 - 4.9 * (np.arange(14) * STEP) ** 2
+    hand = 0.48 + 0.002 * np.sin(2.0 * np.arange(20))
+    first, n = kept_rows(lone(np.concatenate([[0.09], hand, fall]), sigma=3e-4))
+    assert 19 <= first <= 25 and n == 35 - first
+
+
+def test_what_creeps_before_it_is_let_go_is_held():
+    t = np.arange(200) * STEP
+    swing = 1.0 - np.exp(-t) * np.cos(9 * t)
+    first, _ = kept_rows(lone(np.concatenate([np.linspace(0, 0.02, 80), swing])))
+    assert 75 <= first <= 88
+
+
+def test_of_a_long_rest_behind_a_swing_a_part_is_kept():
+    t = np.arange(300) * STEP
+    y = 1.0 - np.exp(-1.5 * t) * np.cos(9 * t)
+    y[90:] = y[90]  # it sticks
+    _, n = kept_rows(lone(y))
+    assert 90 <= n <= 110
+
+
+def test_what_turns_back_slowly_stays_whole():
+    t = np.arange(300) * STEP
+    data = lone(np.cos(2.0 * t))
+    assert without_still_ends(data) is data
