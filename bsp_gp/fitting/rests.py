@@ -188,10 +188,11 @@ def _n_still(times, places):
 
 def _n_near(places):
     """Rows from the first on that are near it beside the way of all, or creep about there."""
-    away = np.linalg.norm(places - places[0], axis=1) / np.linalg.norm(np.ptp(places, axis=0))
+    away = np.linalg.norm(places - places[0], axis=1)
+    extent = np.linalg.norm(np.ptp(places, axis=0))
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     slow = _until(steps > SLOW * steps.max(initial=0.0)) + 1
-    return max(_until(away > NEAR), min(slow, _until(away > CREPT)))
+    return max(_until(away > NEAR * extent), min(slow, _until(away > CREPT * extent)))
 
 
 def _until(is_over):

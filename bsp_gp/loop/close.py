@@ -67,6 +67,8 @@ from bsp_gp.workers import Crew
 
 LATE_S = 3.0
 """Seconds after a time limit that errors on held-out rows may take; then they are left out."""
+FIRST_LOOK = 0.6
+"""Part of the time for a first look at bodies that bounce, behind which flights are followed."""
 WRITING_SHARE = 0.25
 """Part of a time limit that is kept for what comes after the rounds."""
 
@@ -164,17 +166,18 @@ def close_loop(
         )
     settings = {
         "criteria": criteria, "max_rounds": max_rounds, "starts": starts, "bounds": bounds,
-        "clock": clock, "progress": progress, "looks": 2 if ready.has_more else 1,
+        "progress": progress, "looks": 2 if ready.has_more else 1,
         "crew": crew,
     }  # fmt: skip
 
-    def look(ready, rng, begun, **more):
+    def look(ready, rng, begun, clock=clock, **more):
         able = standard(
             grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude), search=search,
             budget=search_budget,
         )  # fmt: skip
         return run_rounds(
-            ready.hypothesis, ready.train, able, rng=rng, begun=begun, **settings, **more
+            ready.hypothesis, ready.train, able, rng=rng, begun=begun, clock=clock, **settings,
+            **more,
         )
 
     says("fitting the declared model")
@@ -199,12 +202,15 @@ def close_loop(
         more |= {"is_refused": ahead.refuses, "instead": ahead.instead}
         return look(ready, rng, begun, **more), ahead, foreseen
 
+    # Where a body bounces it may have to be followed anew, from wall to wall.
+    bounces = not all_rows and bounce(ready.dataset) and in_flights(ready.dataset) is not None
     rounds, foresight, foreseen = first_look(
-        ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier
+        ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier,
+        clock=clock.share(FIRST_LOOK) if bounces else clock,
     )
     flights = None
     if not (all_rows or clock.is_over) and (
-        is_astray(rounds[-1].after, ready.noise.sigma) or bounce(ready.dataset)
+        bounces or is_astray(rounds[-1].after, ready.noise.sigma)
     ):
         flights = in_flights(ready.dataset, rounds)
     if flights is not None:
