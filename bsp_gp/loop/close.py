@@ -509,6 +509,8 @@ def _written(
     doubt = writing_up.doubt_of_periods(rounds, pruned.removed)
     doubt = doubt or writing_up.doubt_of_sources(rounds, pruned.removed)
     doubt = doubt or writing_up.doubt_of_bounds(rounds, pruned.removed)
+    bound = (asked.bound if asked else None) or rounds[-1].hidden_bound
+    doubt = doubt or writing_up.doubt_of_rest(first, last, rounds, bound)
     doubt = "many_causes" if writing_up.is_many(rounds, pruned.removed) else doubt
     may_ask = last is not first and not is_late and ready.has_more and not ready.is_swapped
     if may_ask and not doubt:
@@ -529,7 +531,6 @@ def _written(
         constants = writing_up.told(constants, done.details)
     units = {c.name: c.unit for c in constants if not c.entity}
     notes = ready.notes(last, pruned.hypothesis)
-    bound = (asked.bound if asked else None) or rounds[-1].hidden_bound
     return {
         "dataset": writing_up.about_data(ready.dataset, ready.split, notes),
         "noise": about_noise(last.noise, ready.noise, dataset.units),

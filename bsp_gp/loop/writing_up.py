@@ -26,7 +26,7 @@ from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_recor
 from bsp_gp.loop.proposal import is_turning
 from bsp_gp.loop.proposers.exponents import base_of
 from bsp_gp.loop.proposers.priors import AXES
-from bsp_gp.loop.slight import MOST_CAUSES
+from bsp_gp.loop.slight import MOST_CAUSES, size_left
 from bsp_gp.physics.bodies import input_types_of
 from bsp_gp.physics.force import split_linear
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
@@ -42,9 +42,11 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
-    "likelier_refused", "at_bound",
+    "likelier_refused", "at_bound", "much_left",
 }  # fmt: skip
 """Why a law only describes the tracks."""
+MUCH, SURE_SNR = 0.3, 100.0
+"""Part of what the declared law leaves from which much is left, and its signal-to-noise ratio."""
 FEWEST_PERIODS = 2
 """That a recording must have of what comes back in time: one wave is as good as any curve."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
@@ -176,6 +178,27 @@ def doubt_of_sources(rounds, removed):
                 if abs(found.values[k]) < Z_90 * found.errors[k]:
                     return "not_placed"
     return ""
+
+
+def doubt_of_rest(first, last, rounds, bound):
+    """Why laws that were found are none for sure; "" where nothing says so.
+
+    Beside which a third of the motion is left that nothing explains, they are no part of what
+    moves it either: of a double pendulum that no rod could follow, forces with a period were facts.
+
+    Parameters
+    ----------
+    first, last : Fit
+        Of the declared law, and of the final one.
+    bound : HiddenBound or None
+        Of what is left.
+    """
+    end = rounds[-1].decision
+    if end.is_adopted or end.verdict == "nothing missing" or bound is None:
+        return ""
+    if not (bound.snr > SURE_SNR and first.shows_tracks and last.shows_tracks):
+        return ""
+    return "much_left" if size_left(last) > MUCH * size_left(first) else ""
 
 
 def doubt_of_bounds(rounds, removed):

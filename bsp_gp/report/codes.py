@@ -82,6 +82,7 @@ REASONS = {
     "many_causes": "it takes many causes to describe these tracks, rather than one of another form",
     "not_placed": "its strength may be nothing, and it may be anywhere: other pushes that change "
     "from place to place do as well",
+    "much_left": "much of the motion is left beside it, which nothing that was tried explains",
     "at_bound": "a constant inside it ends at the bound of what it may be: another form is asked "
     "for",
     "few_periods": "no recording is as long as two of its periods: it was not seen to come back",

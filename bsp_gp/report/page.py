@@ -42,6 +42,10 @@ _TOLD = 12
 _MOST_FINDINGS = 3
 _LIKELY = 0.1
 """Part of the probability of the likeliest from which causes of other kinds are told with it."""
+_JOINED = (
+    f"{CHECK}a rod joins bodies whose masses are not known: they are taken as equal, and what acts "
+    "on them is told wrongly if they are not; --property mass=NAME:0.1,OTHER:0.2 gives them"
+)
 _NAMED = {
     **dict.fromkeys(KICKED, kick), "inclined": inclination, "ripple": ripple, "bad_row": bad_rows,
     "clock_jump": clock_jumps,
@@ -112,10 +116,14 @@ def _notes(report):
                 f"Beside what was found the data do not ask for the declared {entry['law']}: "
                 "it was taken out of the law."
             )
+    is_joined = any(getattr(part, "is_coupling", False) for part in report.law.frame)
     for note in report.dataset["notes"]:
+        is_of_masses = note == NO_MASS or note.startswith(ONE_KILOGRAM)
         if note.startswith(ONE_KILOGRAM):
             note = CHECK + note if needs_masses(report.law) else NO_MASS
         yield note
+        if is_of_masses and is_joined:
+            yield _JOINED
     if report.dataset["split"]:
         yield report.dataset["split"]
     symbols = {k: v for k, v in report.dataset["symbols"].items() if v != "rad"}

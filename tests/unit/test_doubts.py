@@ -1,0 +1,59 @@
+"""Why adopted laws only describe the tracks: a constant at its bound, and much that is left."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bsp_gp.fitting.hypothesis import Parameter
+from bsp_gp.loop.writing_up import doubt_of_bounds, doubt_of_rest
+from tests.fitted_tracks import law_of
+
+PUSH = "c1 * (0.5 * (1 - sign(dot(p_i - origin, e_x) - h_x1)) * e_y)"
+
+
+def round_of(place, status, low=0.0, high=2.0, is_adopted=True):
+    """A round that adopts a push up to a place, which may lie between two others."""
+    law = law_of(PUSH, c1=1.0, h_x1=place)
+    found = SimpleNamespace(law=law, status=status)
+    numbers = (Parameter("c1"), Parameter("h_x1", low=low, high=high))
+    return SimpleNamespace(
+        number=1, fits={2: found}, entering=SimpleNamespace(law=law_of()),
+        hypotheses={2: SimpleNamespace(parameters=numbers)},
+        decision=SimpleNamespace(is_adopted=is_adopted, best=SimpleNamespace(id=2, kind="force")),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (round_of(2.0, "at_bound"), "at_bound"), (round_of(0.0, "at_bound"), "at_bound"),
+        (round_of(1.0, "at_bound"), ""),  # it is another number that is at its bound
+        (round_of(1.0, "converged"), ""), (round_of(2.0, "at_bound", is_adopted=False), ""),
+    ],
+)  # fmt: skip
+def test_a_form_with_a_constant_at_its_bound_is_none_for_sure(made, said):
+    """A dead band that ended where the tracks did was a fact, beside a spring and a drag."""
+    assert doubt_of_bounds([made], ()) == said
+    assert doubt_of_bounds([made], {1}) == ""
+
+
+def left(size):
+    return SimpleNamespace(
+        shows_tracks=True, residual=np.full((9, 2), size), noise=SimpleNamespace(adding=None)
+    )
+
+
+@pytest.mark.parametrize(
+    ("after", "snr", "verdict", "said"),
+    [
+        (0.4, 500.0, "cannot tell", "much_left"), (0.4, 500.0, "seen, not adopted", "much_left"),
+        (0.2, 500.0, "cannot tell", ""), (0.4, 20.0, "cannot tell", ""),
+        (0.4, 500.0, "nothing missing", ""),
+    ],
+)  # fmt: skip
+def test_beside_what_is_left_of_most_of_the_motion_no_law_is_sure(after, snr, verdict, said):
+    rounds = [SimpleNamespace(decision=SimpleNamespace(is_adopted=False, verdict=verdict))]
+    bound = SimpleNamespace(snr=snr)
+    assert doubt_of_rest(left(1.0), left(after), rounds, bound) == said
+    assert doubt_of_rest(left(1.0), left(after), rounds, None) == ""
