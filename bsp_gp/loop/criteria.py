@@ -44,6 +44,8 @@ KICKED = ("contact", "collision")
 """Codes of what is over in an instant: a body that is kicked, two that kick each other."""
 KINDS = ("force", "constraint", "wall", "measurement", "hidden_body", "kicks", "noise")
 """What kind of thing that is: kinds that tie are not told apart."""
+FORESEEING = ("force", "constraint", "wall", "hidden_body")
+"""Kinds of causes that act on what was held out as well; errors of the measurement need not."""
 NOISE_FINDINGS = (
     "size", "autocorrelation", "tails", "level_of_scene", "level_of_body", "level_with_speed",
     "grid", "row",

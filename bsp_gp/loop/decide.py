@@ -3,7 +3,8 @@
 import math
 from dataclasses import dataclass
 
-from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.criteria import FORESEEING, Criteria
+from bsp_gp.loop.slight import MOST_CAUSES
 from bsp_gp.loop.table import SAME_MINIMUM
 
 FORCED = 10.0
@@ -12,6 +13,8 @@ this to be none."""
 SWAMPED = 0.1
 """Size of noise with a memory, in that of the motion, from which it is no noise of a measurement:
 of what no law explains, the motion itself is left."""
+HARDLY_MORE = 2.0
+"""Times what many kicks leave, up to which such a cause comes before them."""
 PLAIN = 0.1
 """Part of what the base leaves, up to which a uniform push that leaves as much is taken first."""
 
@@ -98,9 +101,9 @@ def decide(table, criteria=None):
         and best.log_posterior - row.log_posterior < criteria.tie_nats
     ]  # fmt: skip
     is_fact = not any(_is_near(row, best, criteria) for row in rivals)
-    weight = _weight_before(best, table)
-    if weight is not None:
-        return Decision("effect adopted", "adopted", weight, True)
+    first = _weight_before(best, table) or _cause_before_kicks(best, candidates)
+    if first is not None:
+        return Decision("effect adopted", "adopted", first, True)
     if tied:
         return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
     return Decision("effect adopted", "adopted", best, True, rivals, is_fact)
@@ -121,6 +124,19 @@ def _weight_before(best, table):
     return next(
         (row for row in table.candidates if row.code == "law" and row.n_pushes == row.n_terms > 0
          and row.left < PLAIN * table.base.left), None
+    )  # fmt: skip
+
+
+def _cause_before_kicks(best, candidates):
+    """The likeliest cause that leaves not much more than many kicks do; None without one.
+
+    Enough kicks follow any track: what a planet that nobody sees does to a comet is none of them.
+    """
+    if best.n_kicks <= MOST_CAUSES:
+        return None
+    return next(
+        (row for row in candidates if row.kind in FORESEEING and not row.n_kicks
+         and row.left < HARDLY_MORE * best.left), None
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from scipy import special, stats
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.accounts import Accounts
-from bsp_gp.loop.criteria import KICKED
+from bsp_gp.loop.criteria import FORESEEING, KICKED
 from bsp_gp.loop.proposal import FAULTS, continued
 
 N_COPIES = 40
@@ -37,8 +37,6 @@ INSTEAD = 0.5
 one only describes the tracks, and what leaves most of the error does not describe them."""
 BEYOND = 1.5
 """Times the error that noise makes, above which it is asked whether a law holds there."""
-FORESEEING = ("force", "constraint", "wall", "hidden_body")
-"""Kinds of causes that act on what was held out as well; errors of the measurement need not."""
 
 
 class Foresight:

@@ -13,6 +13,7 @@ import numpy as np
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.followed import PASSES, cut_short
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
+from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.language.render import to_text
@@ -991,11 +992,17 @@ class _Turn:
                 key=twin or proposal.key, ties=() if status == "scored" else proposal.texts_of_ties,
                 is_wide=proposal.is_wide, n_terms=len(proposal.formulas),
                 n_pushes=sum(set(formula.inputs) <= UNIFORM for formula in proposal.formulas),
+                n_kicks=_n_kicks(proposal.hypothesis) - _n_kicks(self.hypotheses[0]),
                 is_of_pairs=any(n[-2:] == "_j" for f in proposal.formulas for n in f.inputs),
                 left=_left_by(self.fits.get(number)),
             )
         )  # fmt: skip
         return self.rows[-1]
+
+
+def _n_kicks(hypothesis):
+    """How many kicks there are in a hypothesis."""
+    return len({part.mark for part in hypothesis.parts if isinstance(part, Kick)})
 
 
 def _left_by(found):

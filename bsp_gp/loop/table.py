@@ -60,6 +60,8 @@ class Row:
         Whether other forms are special cases of it.
     n_pushes, n_terms : int
         Uniform pushes, as weight is one, among the forces that it adds, and these.
+    n_kicks : int
+        That it adds.
     is_of_pairs : bool
         Whether it adds a force between bodies.
     left : float, m
@@ -84,6 +86,7 @@ class Row:
     is_wide: bool = False
     n_pushes: int = 0
     n_terms: int = 0
+    n_kicks: int = 0
     is_of_pairs: bool = False
     left: float = math.nan
 

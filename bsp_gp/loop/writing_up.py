@@ -19,9 +19,9 @@ from bsp_gp.language.formula import Input, factors
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Z_90, Constancy
-from bsp_gp.loop.criteria import KICKED
+from bsp_gp.loop.criteria import FORESEEING, KICKED
 from bsp_gp.loop.decide import share_of_listed
-from bsp_gp.loop.foresight import FORESEEING, foresees
+from bsp_gp.loop.foresight import foresees
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
 from bsp_gp.loop.proposal import is_turning
 from bsp_gp.loop.proposers.exponents import base_of

@@ -74,6 +74,19 @@ def test_weight_comes_before_what_fits_as_well_without_it():
     assert said.is_adopted and not said.rivals
 
 
+def test_a_planet_comes_before_many_kicks_that_leave_hardly_less():
+    """Of a comet that passes Jupiter six kicks were told, of 13 to 25 m/s."""
+    base = replace(BASE, left=1.0)
+    kicks = row(1, "contact", gain=900.0, n_kicks=6, left=0.01)
+    planet = row(2, "hidden_body", "hidden_body", gain=700.0, left=0.015)
+    said = decided(kicks, planet, base=base)
+    assert said.best.id == 2 and said.is_adopted and not said.is_fact
+    assert decided(replace(kicks, n_kicks=3), planet, base=base).best.id == 1
+    assert decided(kicks, replace(planet, left=0.03), base=base).best.id == 1
+    lens = replace(planet, code="lens", kind="measurement")
+    assert decided(kicks, lens, base=base).best.id == 1
+
+
 @pytest.mark.parametrize(
     ("p", "noise_p", "verdict"),
     [(0.5, 1.0, "nothing missing"), (1e-6, 1e-6, "the noise is not as assumed")],
