@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 from scipy import stats
 
+from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.fitting.parts.instrument import LARGE, Instrument
 from bsp_gp.fitting.tangent import instrument_columns
 from bsp_gp.loop.proposal import Family, Proposal
@@ -95,9 +96,10 @@ def kinds_of(dataset, fit):
         for plane in combinations(axes, 2):
             if named & {f"e_{'xyz'[k]}" for k in plane}:
                 out.append(Instrument("tilt", plane))
-        for k in axes:
-            out += [Instrument(code, (k,), **picture) for code in ("slant", "perspective")]
-        out.append(Instrument("lens", axes, **picture))
+        if len(axes) < 3 or not is_of_the_sky(dataset):  # no camera saw an ephemeris in space
+            for k in axes:
+                out += [Instrument(code, (k,), **picture) for code in ("slant", "perspective")]
+            out.append(Instrument("lens", axes, **picture))
     # Of what turns all round, out of balance does nearly the same.
     if dataset.units.is_angle and len(axes) == 1 and 2 * size < math.pi:
         out += [Instrument(code, axes) for code in ("zero", "pivot")]
