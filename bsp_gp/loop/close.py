@@ -208,9 +208,9 @@ def close_loop(
         ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier,
         clock=clock.share(FIRST_LOOK) if bounces else clock,
     )
-    flights = None
+    flights, is_left = None, rounds[-1].decision.verdict != "nothing missing"
     if not (all_rows or clock.is_over) and (
-        bounces or is_astray(rounds[-1].after, ready.noise.sigma)
+        (bounces and is_left) or is_astray(rounds[-1].after, ready.noise.sigma)
     ):
         flights = in_flights(ready.dataset, rounds)
     if flights is not None:

@@ -252,9 +252,9 @@ def _name(effect, parts, other):
     if parts:
         return f"{_COUNTS.get(len(parts), len(parts))} forces"
     if effect.formula is not None:
-        every, inside = effect.formula.constants, split_linear(effect.formula)[1].constants
         # Of those inside, and of a plane beside it, none tells the way.
-        strengths = (c for c in effect.constants if c.name in every and c.name not in inside)
+        inside = (*split_linear(effect.formula)[1].constants, "inclination", "node")
+        strengths = (c for c in effect.constants if c.name not in inside)
         values = [c.value for c in strengths if is_number(c.value)]
         is_one_way = bool(values) and (min(values) > 0 or max(values) < 0)
         value = values[0] if is_one_way or len(values) == 1 else None
