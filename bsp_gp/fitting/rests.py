@@ -173,6 +173,8 @@ def _n_still(times, places):
     What stands still may be told worse than what moves, and the very first row may be off: whoever
     tracks by hand begins somewhere.
     """
+    if len(places) <= LEAST_ROWS:
+        return 0
     off = int(np.argmax([_n_near(places), 1 + _n_near(places[1:])]))
     times, places = times[off:], places[off:]
     n = max(still_rows(places), _n_near(places))

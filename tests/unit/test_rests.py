@@ -9,7 +9,7 @@ import pytest
 import bsp_gp
 from bsp_gp.data.torn import without_torn_ends
 from bsp_gp.fitting.hypothesis import NOTHING, read_law
-from bsp_gp.fitting.rests import without_rests, without_still_ends
+from bsp_gp.fitting.rests import _still_ends, without_rests, without_still_ends
 
 FALL = "9.81 [m/s^2] * m_i * down"
 SIGMA, STEP = 0.002, 0.02
@@ -166,3 +166,11 @@ def test_what_turns_back_slowly_stays_whole():
     t = np.arange(300) * STEP
     data = lone(np.cos(2.0 * t))
     assert without_still_ends(data) is data
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 5, 6])
+def test_a_recording_that_shows_hardly_a_row_has_no_rest(n):
+    (scene,) = lone(np.linspace(0, 1, 40)).scenes
+    places = scene.positions.copy()
+    places[n:] = np.nan
+    assert _still_ends(replace(scene, positions=places), np.full(2, 1e-3)) == (0, 0)
