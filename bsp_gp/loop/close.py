@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import asdict, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -203,17 +204,13 @@ def close_loop(
         return look(ready, rng, begun, **more), ahead, foreseen
 
     # Where a body bounces it may have to be followed anew, from wall to wall.
-    bounces = not all_rows and bounce(ready.dataset) and in_flights(ready.dataset) is not None
+    may_fly = not all_rows and lacks(begun, ready.noise.sigma) and ready.bounces
+    flights = in_flights(ready.dataset) if may_fly else None
     rounds, foresight, foreseen = first_look(
         ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier,
-        clock=clock.share(FIRST_LOOK) if bounces else clock,
+        clock=clock if flights is None else clock.share(FIRST_LOOK),
     )
-    flights, is_left = None, rounds[-1].decision.verdict != "nothing missing"
-    if not (all_rows or clock.is_over) and (
-        (bounces and is_left) or is_astray(rounds[-1].after, ready.noise.sigma)
-    ):
-        flights = in_flights(ready.dataset, rounds)
-    if flights is not None:
+    if flights is not None and not clock.is_over and _asks_flights(rounds, ready.noise.sigma):
         says("following flights from wall to wall")
         other, rng_split = _Ready(flights, declared, flights_rng), flights_rng.spawn(2)
         found = first_look(other, rng_split[0], other.begin(starts, bounds, clock), rng_split[1])
@@ -269,6 +266,15 @@ def _words(declared):
     return set(re.findall(r"\w+", " ".join(laws)))
 
 
+def _asks_flights(rounds, levels):
+    """Whether no wall was adopted, and something is left, or rows are far off what is foreseen."""
+    found = [done.decision.best for done in rounds if done.decision.is_adopted]
+    if any(row.kind == "wall" for row in found):
+        return False
+    is_left = rounds[-1].decision.verdict != "nothing missing"
+    return is_left or is_astray(rounds[-1].after, levels)
+
+
 def _in_parts(ready, begun, declared, rng, how, criteria):
     """The data set and its first fit, without hands at the ends of recordings, these cut in parts.
 
@@ -280,7 +286,7 @@ def _in_parts(ready, begun, declared, rng, how, criteria):
     whole = ready, begun
     if not lacks(begun, ready.noise.sigma):
         return whole
-    bounces = bounce(ready.dataset)
+    bounces = ready.bounces
     # What nothing moves may rest for as long as it likes: no law says that it is held.
     dataset = without_still_ends(ready.dataset) if bounces or not ready.law.terms else None
     if dataset is not None and dataset is not ready.dataset:
@@ -352,6 +358,11 @@ class _Ready:
         )
         self.latents = latents
         self._learn_from(choose_split(self.dataset, rng))
+
+    @cached_property
+    def bounces(self):
+        """Whether bodies turn back at walls; of long recordings it takes seconds to tell."""
+        return bounce(self.dataset)
 
     def _learn_from(self, split):
         self.split, self._refitted = split, {}

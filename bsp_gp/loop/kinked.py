@@ -94,20 +94,13 @@ def bounce_oddly(dataset):
     return False
 
 
-def in_flights(dataset, rounds=()):
+def in_flights(dataset):
     """The data set with recordings cut where bodies turn back at walls; None where that is no use.
 
     A ball that spins, or is not round, turns back in another way each time: no wall foretells its
     path. What acts on it in between shows all the same.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    rounds : sequence of Round
-        In which no wall was adopted.
     """
-    found = [done.decision.best for done in rounds if done.decision.is_adopted]
-    if not may_be_cut(dataset) or any(row.kind == "wall" for row in found):
+    if not may_be_cut(dataset):
         return None
     walls = _bounces(dataset)
     if not walls:

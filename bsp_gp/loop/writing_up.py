@@ -124,7 +124,7 @@ def is_many(rounds, removed):
     removed : collection of int
         Numbers of rounds whose causes were taken back.
     """
-    adopted = [r for r in rounds if r.decision.is_adopted and r.number not in removed]
+    adopted = _kept(rounds, removed)
     if any(r.proposals[r.decision.best.id].is_series for r in adopted):
         return True
     causes = [
@@ -137,6 +137,11 @@ def is_many(rounds, removed):
     parts = (p for r in of_kicks for p in r.hypotheses[r.decision.best.id].parts)
     kicks = {p.mark: (p.scene, p.entity) for p in parts if isinstance(p, Kick)}
     return max(sum(causes), *Counter(kicks.values()).values(), 0) > MOST_CAUSES
+
+
+def _kept(rounds, removed):
+    """Rounds that adopt something which was not taken back."""
+    return [r for r in rounds if r.decision.is_adopted and r.number not in removed]
 
 
 def _kind_of(formula):
@@ -167,9 +172,9 @@ def doubt_of_sources(rounds, removed):
     removed : collection of int
         Numbers of rounds whose causes were taken back.
     """
-    for r in rounds:
+    for r in _kept(rounds, removed):
         best = r.decision.best
-        if not r.decision.is_adopted or r.number in removed or best.kind != "hidden_body":
+        if best.kind != "hidden_body":
             continue
         found = r.fits[best.id]
         for part in r.hypotheses[best.id].parts:
@@ -212,13 +217,11 @@ def doubt_of_bounds(rounds, removed):
     removed : collection of int
         Numbers of rounds whose causes were taken back.
     """
-    for r in rounds:
+    for r in _kept(rounds, removed):
         best = r.decision.best
-        if not r.decision.is_adopted or r.number in removed or best.kind != "force":
-            continue
-        if r.fits[best.id].status != "at_bound":
-            continue
         found = r.fits[best.id]
+        if best.kind != "force" or found.status != "at_bound":
+            continue
         bounds = {p.name: (p.low, p.high) for p in r.hypotheses[best.id].parameters}
         for formula in _new(found, r.entering):
             multiplier, _ = split_linear(formula)
@@ -237,9 +240,7 @@ def doubt_of_periods(rounds, removed):
     removed : collection of int
         Numbers of rounds whose causes were taken back.
     """
-    for r in rounds:
-        if not r.decision.is_adopted or r.number in removed:
-            continue
+    for r in _kept(rounds, removed):
         found = r.fits[r.decision.best.id]
         for formula in _new(found, r.entering):
             for name in rates_in(formula):
