@@ -273,6 +273,16 @@ UNCALIBRATED = {
 """Units in the place of lengths that no length in SI is known of, and what they are told in."""
 OF_THE_SKY = ("arcsec", "mas", "uas", "arcmin", "milliarcsecond", "microarcsecond", "arcsecond")
 """Angles on the sky in the place of lengths: without a distance these are not calibrated."""
+
+
+def is_speed(text):
+    """Whether a text is a unit of velocities."""
+    try:
+        return parse_unit(text)[1] == Unit.of(m=1, s=-1)
+    except UnitError:
+        return False
+
+
 _KIND_BASE = {"length": "m", "time": "s", "mass": "kg", "charge": "A"}
 
 
@@ -312,12 +322,19 @@ class UnitSystem:
                 symbols[base] = text.strip()
             elif kind == "length" and text is not None and text.strip().lower() in ANGLES:
                 symbols[base] = "rad"
+            elif kind == "length" and text is not None and is_speed(text):
+                symbols[base] = text.strip()
         return cls(MappingProxyType(dict(declared)), MappingProxyType(symbols))
 
     @property
     def is_angle(self):
         """Whether angles stand in the place of places: rad for m."""
         return self.symbols.get("m") == "rad"
+
+    @property
+    def is_speed(self):
+        """Whether velocities stand in the place of places."""
+        return is_speed(self.symbols.get("m", "m"))
 
     @property
     def is_si(self):

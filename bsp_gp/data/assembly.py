@@ -29,7 +29,7 @@ from bsp_gp.data.roster import (
     require_columns,
     vector_stems,
 )
-from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SUMS, Entity, FirstState, Scene
+from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, SUMS, Entity, FirstState, Scene
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
 
@@ -266,7 +266,7 @@ def axes_of(table, declaration):
     angle = declaration.units.get("length", table.units.get(axes[0], ""))
     known = {*NUMBER_COLUMNS, *TEXT_COLUMNS, *WITHIN, *inputs_of(table, declaration)}
     # Who says which column is one of them would say which is the other.
-    is_summed = declaration.velocity in SUMS  # all that there is of them
+    is_summed = declaration.velocity in (*SUMS, SIGHT)  # all that there is of them
     is_turn = is_angle(angle) or is_angle_name(table.theirs.get(axes[0], ""))
     is_whole = is_turn or axes[0] in declaration.columns or is_summed
     rest = [] if is_whole else [column for column in columns if column not in known]

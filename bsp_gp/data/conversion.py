@@ -13,6 +13,7 @@ from bsp_gp.units import (
     UNCALIBRATED,
     Unit,
     UnitSystem,
+    is_speed,
     parse_unit,
 )
 
@@ -101,16 +102,20 @@ class Conversion:
     by_headings : bool
         Units stand in the headings alone, and nobody declares any: one of length or time may be
         missing, and is told as such.
+    of_sight : bool
+        Velocities stand in the place of places, and lengths have their unit.
 
     Attributes
     ----------
     system : UnitSystem
     """
 
-    def __init__(self, declared, columns, file=None, has_fps=False, by_headings=False):
+    def __init__(
+        self, declared, columns, file=None, has_fps=False, by_headings=False, of_sight=False
+    ):  # fmt: skip
         columns = set(columns)
         self.declared = {key: _as_written(text) for key, text in declared.items()}
-        self.file = file
+        self.file, self.of_sight = file, of_sight
         unknown = sorted(set(self.declared) - set(KINDS) - columns)
         if unknown:
             self._fail(
@@ -173,7 +178,9 @@ class Conversion:
             return parse_unit(text.strip())[0] / parse_unit(own)[0] if own in OF_THE_SKY else 1.0
         if self.system.is_angle and text is not None and text.strip().lower() in ANGLES:
             return ANGLES[text.strip().lower()]
-        return 1.0 if text is None else self._read(column, text, _LENGTH)[0]
+        if text is None or (self.of_sight and is_speed(text)):
+            return 1.0
+        return self._read(column, text, _LENGTH)[0]
 
     def velocity(self, column):
         """Scale of a column of velocities: its own unit, else length/time."""

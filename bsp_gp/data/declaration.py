@@ -11,7 +11,7 @@ from pathlib import Path
 
 from bsp_gp.data.conversion import KINDS, is_unit
 from bsp_gp.data.headings import ALIASES, IGNORE, NUMBER_COLUMNS, is_angle_name, is_frame_name
-from bsp_gp.data.scene import Evaluation, LatentDeclaration
+from bsp_gp.data.scene import SIGHT, Evaluation, LatentDeclaration
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError
 
@@ -24,7 +24,7 @@ TOP_KEYS = (
     "units", "axes", "columns", "initial", "latent", "sky", "split", "evaluation", "provenance",
 )  # fmt: skip
 SKY = ("distance", "parallax")
-SEEN = ("measured", "only", "unseen", "ignore")
+SEEN = ("measured", "only", "unseen", SIGHT, "ignore")
 """What velocities are, see `Dataset`."""
 FIRST_PLACES = ("exact", "measured")
 FIRST_VELOCITIES = ("exact", "measured", "rest", "unknown")

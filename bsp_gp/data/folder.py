@@ -217,7 +217,8 @@ def _units(dataset):
     """Numbers in memory are SI, so these are SI units, or px, or nothing."""
     symbols = dataset.units.symbols
     units = {}
-    if symbols.get("m") in (*UNCALIBRATED, *OF_THE_SKY, "rad") or "m" not in symbols:
+    is_told = symbols.get("m") in (*UNCALIBRATED, *OF_THE_SKY, "rad") or dataset.is_of_sight
+    if is_told or "m" not in symbols:
         units["length"] = symbols.get("m", "m")
     for kind, base in (("time", "s"), ("mass", "kg")):
         if base not in symbols:

@@ -69,10 +69,9 @@ _AXIS_WORDS = words_for("axis")
 """Beside a symbol: ``x-Richtung``."""
 _MAP_WORDS = word_set("northing hochwert")
 _UPRIGHT_WORDS = words_for("upright")
-_RADIAL = word_set("rv mnvel radvel rvel vrad")
-RADIAL_WORDS = _RADIAL | {"radial"}
+RADIAL_NAMES = word_set("rv mnvel radvel rvel vrad")
 """Of velocities along the line of sight."""
-_SPEED_WORDS = words_for("speed") | _RADIAL
+_SPEED_WORDS = words_for("speed") | RADIAL_NAMES
 _ACCELERATION_WORDS = words_for("acceleration")
 _ERROR_WORDS = word_set(
     "error err std sd sigma uncertainty accuracy precision fit model residual fehler unsicherheit"
@@ -264,24 +263,24 @@ def is_acceleration(text):
     """Whether a heading speaks of an acceleration."""
     is_symbol = re.fullmatch(r"(?:a|acc|accel)[\s_]?[xyz]", text.strip().lower()) is not None
     is_symbol = is_symbol or _G_FORCE.fullmatch(text.strip()) is not None
-    return is_symbol or bool(_words(text) & _ACCELERATION_WORDS)
+    return is_symbol or bool(words_of(text) & _ACCELERATION_WORDS)
 
 
 def is_rate(text):
     """Whether a heading speaks of what a gyroscope measures."""
-    words = _words(text) - {""}
+    words = words_of(text) - {""}
     is_angular = words <= {"angular", "velocity", "speed", "rate", "x", "y", "z"}
     return bool(words & {"gyroscope", "gyroskop", "gyro"}) or ("angular" in words and is_angular)
 
 
 def is_no_place(text):
     """Whether a heading speaks of what is measured beside a motion, or has a unit of its own."""
-    return bool(_words(text) & _BESIDE_WORDS) or re.search(r"[)\]}>]$", text.strip()) is not None
+    return bool(words_of(text) & _BESIDE_WORDS) or re.search(r"[)\]}>]$", text.strip()) is not None
 
 
 def property_of_words(text, unit=""):
     """The property of bodies that a heading speaks of, and its unit agrees with; or ""."""
-    words = _words(text) - {""} - _COUNT_WORDS - _OF_WORDS
+    words = words_of(text) - {""} - _COUNT_WORDS - _OF_WORDS
     of_unit = unit_of(unit) if unit else None
     for name, known in _PROPERTY_WORDS.items():
         known = known | _WITH_ITS_UNIT[name] if unit else known
@@ -292,25 +291,25 @@ def property_of_words(text, unit=""):
 
 def is_body(text):
     """Whether a heading may name bodies."""
-    words = _words(text) - {""} - _COUNT_WORDS
+    words = words_of(text) - {""} - _COUNT_WORDS
     return bool(words) and words <= _GUESSES["entity"] | _BODY_WORDS
 
 
 def is_id(text):
     """Whether a heading is that of the numbers or names that a tracker gives to what it follows."""
-    words = _words(text) - {""}
+    words = words_of(text) - {""}
     return words <= {"id", "ids", "trackid", "objectid"} and bool(words)
 
 
 def is_error(text):
     """Whether a heading speaks of an error, a fit or a speed, which is no place of a body."""
     no_place = _ERROR_WORDS | _SPEED_WORDS | _ACCELERATION_WORDS | _OTHER_WORDS
-    return bool(_words(text) & no_place)
+    return bool(words_of(text) & no_place)
 
 
 def is_doubt(text):
     """Whether a heading says how sure a place is, or in what state what measures it."""
-    return bool(_words(text) & _DOUBT_WORDS)
+    return bool(words_of(text) & _DOUBT_WORDS)
 
 
 def is_error_of(text, of):
@@ -323,7 +322,7 @@ def is_error_of(text, of):
 
 def is_own_speed(text):
     """Whether a heading speaks of how fast the body itself is, and of nothing else's speed."""
-    words = _words(text) - {""}
+    words = words_of(text) - {""}
     rest = words - _SPEED_WORDS - _WHOSE_SPEED_WORDS - _OF_WORDS
     is_symbol = re.fullmatch(r"v[\s_]?[xyzrt]?", text.strip().lower()) is not None
     return is_symbol or (bool(words & _SPEED_WORDS) and not rest)
@@ -331,10 +330,11 @@ def is_own_speed(text):
 
 def is_count(text):
     """Whether a heading counts rows."""
-    return (_words(text) - {""}) <= _COUNT_WORDS | _ROW_WORDS
+    return (words_of(text) - {""}) <= _COUNT_WORDS | _ROW_WORDS
 
 
-def _words(text):
+def words_of(text):
+    """The words of a heading, folded, a set of str."""
     return {word.rstrip(".") for word in re.split(r"[\s_\-()\[\]/]+", apart(folded(text)))}
 
 
@@ -436,7 +436,7 @@ def _with_clock(found):
 def is_height(heading):
     """Whether a column means heights, so that its axis points up."""
     is_guess = heading.name == "y" and heading.sure == GUESS and not heading.body
-    return is_guess and not _words(heading.theirs) & _MAP_WORDS
+    return is_guess and not words_of(heading.theirs) & _MAP_WORDS
 
 
 def is_ignored(text, cells):
@@ -530,7 +530,7 @@ def _our_name(name):
 
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
-    words = {word for word in _words(_last_of(name)) - {""} if not _INPUT.fullmatch(word)}
+    words = {word for word in words_of(_last_of(name)) - {""} if not _INPUT.fullmatch(word)}
     if any(len(word) > 1 for word in words - _OF_LOGGERS):
         words -= _OF_LOGGERS
     if words & _UPRIGHT_WORDS and words - _UPRIGHT_WORDS <= _PLACE_WORDS:
@@ -726,7 +726,7 @@ def bodies_beside(table_columns, units):
     out = {}
     for name, theirs in table_columns.items():
         h = _of_body(Heading(_UNGLUED.sub(r"\1_\2", name), units.get(name, ""), theirs))
-        if h.body and h.name in "xyz" and not _words(h.body) & _PROCESSED_WORDS:
+        if h.body and h.name in "xyz" and not words_of(h.body) & _PROCESSED_WORDS:
             out.setdefault(h.body, {})[h.name] = theirs
     return {body: axes for body, axes in out.items() if {"x", "y"} <= set(axes)}
 

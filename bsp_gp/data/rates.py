@@ -11,9 +11,7 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.conversion import is_unit, unit_of
-from bsp_gp.data.extent import JULIAN, YEARS, are_within
 from bsp_gp.data.headings import (
-    RADIAL_WORDS,
     is_acceleration,
     is_doubt,
     is_error_of,
@@ -22,6 +20,7 @@ from bsp_gp.data.headings import (
 )
 from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import SUMS
+from bsp_gp.data.sight import along_sight, sighted
 from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, summed
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
@@ -30,8 +29,6 @@ _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
 _WHOLE = frozenset("absolute absolut abs magnitude betrag total norm tgf".split())
 PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
-DATES = (YEARS, JULIAN, (4.0e4, 7.0e4))
-"""Numbers that are dates: years, Julian dates, modified ones."""
 LONE = 0.1
 """Part of the variance of a gyroscope's axis that the others may have, if all turns about it; of
 an accelerometer's, if all moves along it."""
@@ -58,28 +55,15 @@ def from_rates(table, declaration):
         return table, declaration
     if "t" not in columns and not (declaration.fps or declaration.dt):
         return table, declaration  # the clock is asked for
+    if column := sighted(table):
+        return along_sight(table, declaration, column)
     for velocity, of_kind in ((VELOCITIES, _velocities), (ACCELERATIONS, _accelerations)):
         found = of_kind(table, declaration)
         if found:
-            _refuse_stars(table, found)
             table = _without(table, set(_misnamed(table, declaration)) - set(found.values()))
             table = _with_errors(table, found) if velocity == VELOCITIES else table
             return summed(table, declaration, _rates(table, declaration, found, velocity))
     return table, declaration
-
-
-def _refuse_stars(table, found):
-    """DataError for radial velocities with dates: few of them are in one turn of a star."""
-    theirs = [table.theirs.get(n, table.unused.get(n, n)) for n in found.values()]
-    times = numbers_of(table, "t") if "t" in table.frame else np.array([])
-    ends = (np.fmin.reduce(times), np.fmax.reduce(times)) if len(times) else (0.0, 0.0)
-    if are_within(*ends, DATES) and any(_words(text) & RADIAL_WORDS for text in theirs):
-        raise DataError(
-            f"there are no places, and {theirs[0]!r} are velocities along the line of sight: no "
-            "orbits are sought in them alone", file=table.file, column=theirs[0],
-            remedy="a track needs places; where these have many rows a turn and are to be added "
-            "up, count the time from the first row",
-        )  # fmt: skip
 
 
 def _without(table, columns):

@@ -18,6 +18,9 @@ from bsp_gp.units import DIMENSIONLESS, Unit, UnitSystem
 
 SUMS = {"only": 1, "unseen": 2}
 """What `Dataset.velocity` is where places are sums, and how often was added up."""
+SIGHT = "sight"
+"""What `Dataset.velocity` is where what stands in the place of places are velocities along the line
+of sight, of which no places are known."""
 CHECK = "check: "
 """Beginning of the notes that doubt the data or the law: every account of a result shows them."""
 SHAPES = ("point", "disc", "rect_wall", "rect_mat")
@@ -313,8 +316,9 @@ class Dataset:
         Declared correlation time of the position noise, s; 0 = white.
     velocity : str
         "measured" if the velocity columns are data in their own right, "only" if places are sums of
-        them, "unseen" if both are sums of measured accelerations (`bsp_gp.data.summed`), else
-        "ignore".
+        them, "unseen" if both are sums of measured accelerations (`bsp_gp.data.summed`), "sight" if
+        velocities along the line of sight stand in the place of one coordinate
+        (`bsp_gp.data.sight`), else "ignore".
     latents : tuple of LatentDeclaration
     evaluation : Evaluation
     provenance : mapping of str to str
@@ -411,6 +415,11 @@ class Dataset:
     def is_summed(self):
         """Whether places are sums of what was measured, so that errors add up."""
         return self.n_sums > 0
+
+    @property
+    def is_of_sight(self):
+        """Whether velocities along the line of sight stand in the place of a coordinate."""
+        return self.velocity == SIGHT
 
     @property
     def n_sums(self):

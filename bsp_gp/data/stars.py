@@ -52,7 +52,7 @@ def read_stars(table, declaration):
     if not (is_polar(columns) or is_sky(columns)):
         return table, declaration, False
     table, declaration = _own_names(table, declaration)
-    table = _dated(table, declaration)
+    table = with_date_unit(table, declaration)
     if not is_polar(columns) or not _is_star(table, declaration):
         return table, declaration, False
     table, declaration = _with_units(table, declaration)
@@ -92,7 +92,7 @@ def _own_names(table, declaration):
     return table, replace(declaration, units=units)
 
 
-def _dated(table, declaration):
+def with_date_unit(table, declaration):
     """The table with a unit of its dates where they leave no doubt, and Julian years."""
     if "t" not in table.frame.columns or not np.issubdtype(table.frame["t"].dtype, np.number):
         return table

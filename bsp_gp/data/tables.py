@@ -44,7 +44,7 @@ from bsp_gp.data.properties import LEFT_OUT, read_properties, with_properties
 from bsp_gp.data.property_columns import quoted, unread_masses, with_properties_by_words
 from bsp_gp.data.rates import from_rates
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
-from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, Dataset, Entity
+from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, Dataset, Entity
 from bsp_gp.data.several import joined, tables_of
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
@@ -349,7 +349,7 @@ def _assemble(table, roster, declaration, default_name):
     units_notes += _half_said(table, units) if by_headings else []
     conversion = Conversion(
         units, known, declaration.file or table.file, has_fps=declaration.fps is not None,
-        by_headings=by_headings,
+        by_headings=by_headings, of_sight=declaration.velocity == SIGHT,
     )  # fmt: skip
     is_said = roster is not None and (
         not isinstance(roster, Table) or "dynamic" in roster.frame.columns

@@ -72,7 +72,7 @@ class Ellipse:
     def nodes(self, times):
         """Places and velocities of the lone body at times of shape (T, S), (2, 1, 2, T, S)."""
         rate = 2 * math.pi / self.period
-        anomaly = _anomaly(rate * (times - self.closest), self.eccentricity)
+        anomaly = eccentric_anomaly(rate * (times - self.closest), self.eccentricity)
         cos, sin, flat = np.cos(anomaly), np.sin(anomaly), math.sqrt(1 - self.eccentricity**2)
         place = np.stack([cos - self.eccentricity, flat * sin])
         velocity = np.stack([-sin, flat * cos]) * rate / (1 - self.eccentricity * cos)
@@ -155,14 +155,19 @@ def _linear(numbers, times, places, errors, is_free):
 
 def _columns(log_period, eccentricity, phase, times):
     """What places are linear in: one, and the places in an orbit of half axis one, (..., T, 3)."""
-    anomaly = _anomaly(2 * math.pi * (times / np.exp(log_period) - phase), eccentricity)
+    anomaly = eccentric_anomaly(2 * math.pi * (times / np.exp(log_period) - phase), eccentricity)
     flat = np.sqrt(1 - eccentricity**2)
     place = np.cos(anomaly) - eccentricity, flat * np.sin(anomaly)
     return np.stack([np.ones_like(anomaly), *place], axis=-1)
 
 
-def _anomaly(mean, eccentricity):
-    """The eccentric anomaly at mean ones (Kepler's equation, by Newton's steps)."""
+def eccentric_anomaly(mean, eccentricity):
+    """The eccentric anomaly at mean ones, rad (Kepler's equation, by Newton's steps).
+
+    Parameters
+    ----------
+    mean, eccentricity : float or ndarray, of shapes that broadcast
+    """
     mean = np.mod(mean + math.pi, 2 * math.pi) - math.pi
     found = np.where(eccentricity > 0.8, np.sign(mean) * math.pi, mean)
     for _ in range(NEWTON_STEPS):

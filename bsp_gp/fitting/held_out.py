@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.scene import FirstState
 from bsp_gp.fitting.estimates import Errors
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis, Parameter, Positions, TrackNoise
@@ -128,6 +129,8 @@ def predictions(found, dataset, scenes, *, deadline=None):
         inf where the motion runs away, nan for bodies that the first rows do not show.
     """
     scenes = shown(found, scenes)
+    if dataset.is_of_sight:
+        scenes = _at_rest(scenes)
     measured = _is_measured(dataset, scenes)
     begun = _begun(found.law, dataset, scenes, measured)
     states = {} if measured or not begun else _first_states(found, dataset, begun, deadline)
@@ -146,6 +149,12 @@ def predictions(found, dataset, scenes, *, deadline=None):
     for scene in scenes:
         tracks[scene.name][:, _is_late(dataset, scene, measured)] = np.nan
     return [tracks[scene.name] for scene in scenes]
+
+
+def _at_rest(scenes):
+    """Scenes of velocities along the line of sight, which stay as they are but for companions."""
+    zero = np.zeros(scenes[0].positions.shape[1:])
+    return [replace(scene, first=FirstState(zero, zero)) for scene in scenes]
 
 
 def _is_measured(dataset, scenes):

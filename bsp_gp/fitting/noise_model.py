@@ -20,6 +20,8 @@ ANYWHERE = {1: 100.0, 2: 1.0}
 """Extents of tracks by which places that were added up may begin elsewhere. Sums of sums may go as
 far in one step, which is at any speed; beside what rows weigh there more would be lost to rounding.
 """
+LEAST_BESIDE = 0.1
+"""Of quoted errors, what is at least beside them: a hundredth of the variance."""
 ADDED = {1: ("m/s", "velocities"), 2: ("m/s^2", "accelerations")}
 """Unit and name of what is added up to places, by how often."""
 
@@ -88,6 +90,9 @@ class NoiseModel:
     correlation_time : float, s
     is_correlation_known : bool
         Declared, white included.
+    is_beside_quoted : bool
+        Whether what is estimated comes beside quoted errors, whose variances are added to it: what
+        spectrographs quote says nothing of the star's own trembling.
     adding : Adding or None
         Of errors that add up from row to row, each by a level: of places that are sums of measured
         velocities, or sums of sums of accelerations.
@@ -106,6 +111,7 @@ class NoiseModel:
     correlated: float = 0.0
     correlation_time: float = 0.0
     is_correlation_known: bool = False
+    is_beside_quoted: bool = False
     adding: Adding | None = None
     findings: tuple = field(default=(), compare=False)
 
@@ -121,6 +127,12 @@ class NoiseModel:
             begin = ANYWHERE[dataset.n_sums] * (float(np.nanmax(high - low)) or 1.0)
             adding, memory = Adding(dataset.typical_step, begin, dataset.n_sums), 0.0
         sources = tuple(_source(dataset, axis) for axis in range(len(found.sigma)))
+        if dataset.is_of_sight:  # sparse rows cannot tell a memory from companions before these
+            memory = memory or 0.0
+        is_beside = dataset.is_of_sight and "quoted" in sources
+        if is_beside:
+            sources = tuple("estimated" if how == "quoted" else how for how in sources)
+            floors = tuple(np.fmax(floors, LEAST_BESIDE * np.array(found.sigma)).tolist())
         return cls(
             levels=found.sigma,
             sources=sources,
@@ -129,6 +141,7 @@ class NoiseModel:
             correlated=1.0 if memory else 0.0,
             correlation_time=memory or 0.0,
             is_correlation_known=memory is not None,
+            is_beside_quoted=is_beside,
             adding=adding,
         )
 
@@ -156,7 +169,7 @@ class NoiseModel:
         """Standard deviation of every row without growth and tails, shape (T, C); nan = none."""
         level = np.maximum(np.array(self.levels), self.floors)[channels.axis]
         size = np.broadcast_to(level * self._factors(channels), channels.seen.shape)
-        if channels.quoted is not None:
+        if channels.quoted is not None and not self.is_beside_quoted:
             floor = np.array(self.floors)[channels.axis]
             # An axis along which nothing moves stays left out.
             is_quoted = (channels.quoted > 0) & np.isfinite(level)
@@ -185,6 +198,8 @@ class NoiseModel:
                 white = white + np.where(free & np.isfinite(grown), grown, 0.0)
             rounding = np.where(free, np.square(np.array(self.steps))[channels.axis] / 12.0, 0.0)
             white = np.maximum(white, rounding)
+        if self.is_beside_quoted and channels.quoted is not None:
+            white = white + np.nan_to_num(np.square(channels.quoted))
         return white, math.sqrt(self.correlated) * np.nan_to_num(sizes)
 
     def whitener(self, channels, weights=None):

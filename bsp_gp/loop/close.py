@@ -284,7 +284,7 @@ def _in_parts(ready, begun, declared, rng, how, criteria):
     and are found as such. What is kicked at random is taken whole.
     """
     whole = ready, begun
-    if not lacks(begun, ready.noise.sigma):
+    if ready.dataset.is_of_sight or not lacks(begun, ready.noise.sigma):
         return whole
     bounces = ready.bounces
     # What nothing moves may rest for as long as it likes: no law says that it is held.
@@ -362,7 +362,7 @@ class _Ready:
     @cached_property
     def bounces(self):
         """Whether bodies turn back at walls; of long recordings it takes seconds to tell."""
-        return bounce(self.dataset)
+        return not self.dataset.is_of_sight and bounce(self.dataset)
 
     def _learn_from(self, split):
         self.split, self._refitted = split, {}

@@ -35,9 +35,9 @@ CAUSES = (
     "constant_per_body", "constant_per_scene", "period", "ripple", "pulsing", "growing", "wind",
     "belt", "scale", "clock", "tilt", "zero", "pivot", "slant", "drift", "offset", "origin",
     "length", "delay", "exposure", "lens", "shutter", "perspective", "inclined", "late_log",
-    "swapped_tracks", "lost_track", "untrimmed", "bad_row", "clock_jump", "hidden_body", "contact",
-    "collision", "bounce", "rod", "wire", "frame", "reference", "kicks", "noise",
-    "varying_strength", "free_force",
+    "swapped_tracks", "lost_track", "untrimmed", "bad_row", "clock_jump", "hidden_body", "orbit",
+    "trend", "contact", "collision", "bounce", "rod", "wire", "frame", "reference", "kicks",
+    "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
 KICKED = ("contact", "collision")

@@ -333,7 +333,7 @@ class _Run:
 
     def traced(self, view, turn):
         """Where what is missing is, and on what it depends, by names of `Round`."""
-        if turn.note_time("fits"):
+        if turn.note_time("fits") or view.dataset.is_of_sight:  # no place is known for a force
             return {}
         found = trace(view)
         varies = tuple(

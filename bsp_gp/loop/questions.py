@@ -173,6 +173,10 @@ class _PureError:
             total = float(np.square(self.rows[0]).sum())
             chance = 2 * min(stats.chi2.sf(total, dof), stats.chi2.cdf(total, dof))
             yield Finding("size", float(chance))
+        elif self.view.fit.noise.is_beside_quoted:
+            size = np.square(self.view.fit.residual / channels.quoted)[self.used]
+            dof = max(size.size - self.rank, 1)
+            yield Finding("size", float(stats.chi2.sf(np.nansum(size), dof)))
 
     def _levels(self, code, index, names, place):
         """Whether a scene or a body has another level than all others."""
@@ -247,7 +251,9 @@ class HiddenBound:
 
 
 def hidden_bound(view):
-    """How much could still be hidden beside the fit of a View."""
+    """How much could still be hidden beside the fit of a View; no force, of velocities alone."""
+    if view.dataset.is_of_sight:
+        return HiddenBound(_snr_bound(view), np.nan, np.nan, np.nan)
     batches = view.response.regression.batches
     masses = view.masses or [np.ones(b.valid.shape[1:3]) for b in batches]
     typical = float(np.median(np.concatenate([m.ravel() for m in masses])))

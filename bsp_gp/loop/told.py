@@ -17,6 +17,8 @@ _LEAST_TIME = 60.0
 _WITHOUT_UNIT = "a constant without a unit is a pure number, or it is in SI"
 _KINDS = {"m": "length", "s": "time", "kg": "mass"}
 _NUMBER = re.compile(r"(?<![\w.])([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?) \[([^\]]*)\]")
+_WHOLE = "§"
+"""Before a base unit that stands for a unit of several."""
 _COUNT = re.compile(r"^\s*[\d.][\d.eE+-]*\s*")
 _FACTOR = re.compile(r"([^\s^/()]+)(?:\^(?:(-?\d+)|\((-?\d+(?:/\d+)?)\)))?")
 
@@ -188,6 +190,10 @@ class Told:
     def _exponents(self, text):
         """Powers of base units of a unit that is written out; None if it is no such."""
         names = {base: base for base in BASE} | {s: base for base, s in self.symbols.items()}
+        for base, symbol in self.symbols.items():
+            if "/" in symbol:  # a velocity in the place of a length is one word
+                names[_WHOLE + base] = base
+                text = text.replace(symbol, _WHOLE + base)
         out, (above, _, below) = {}, text.partition("/")
         for sign, part in ((1, above), (-1, below.strip("()"))):
             for name, power, fraction in _FACTOR.findall(part):

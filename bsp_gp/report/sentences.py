@@ -20,6 +20,7 @@ from bsp_gp.report.numbers import (
     rounded,
     with_unit,
 )
+from bsp_gp.units import is_speed
 
 WORSE = 1.2
 """Ratio of errors from which a body is told to be predicted worse."""
@@ -32,6 +33,11 @@ _UNCALIBRATED = (
     "", "1", "px", "pixel", "pixels", "arcsec", "frame", "frames", "unit", "units", "a.u.",
 )  # fmt: skip
 _UNKNOWN = ("", "unknown", "none", "not known", "assumed")
+
+
+def error_name(unit):
+    """What errors on held-out tracks are errors of."""
+    return "velocity error" if is_speed(str(unit or "")) else "position error"
 
 
 def adopted_rounds(report):
@@ -296,6 +302,7 @@ def headline(report):
     before, after, floor = (report.total.get(k) for k in ("before", "after", "floor"))
     known = [m for m in _METRICS if before is not None and is_number(getattr(before, m[0]))]
     metric, label = (known or _METRICS)[0]
+    label = label.replace("position error", error_name(before.unit if before is not None else ""))
     is_adopted = after is not None and bool(adopted_rounds(report))
     has_after = is_adopted and is_number(getattr(after, metric))
 

@@ -18,6 +18,7 @@ from bsp_gp.report.sentences import (
     adopted_rounds,
     caveats,
     constant_groups,
+    error_name,
     group_range,
     headline,
     hidden_sentence,
@@ -28,6 +29,7 @@ from bsp_gp.report.sentences import (
     worse_bodies,
 )
 from bsp_gp.report.traces import trace_sentence
+from bsp_gp.units import is_speed
 
 __all__ = ["format_number", "format_value", "summary_text", "wrapped"]
 
@@ -63,7 +65,10 @@ def summary_text(report: LoopReport, width: int = WIDTH) -> str:
     ]
     for note in [note for note in notes if note.startswith(CHECK)][:_MAX_CHECKS]:
         paragraphs.append((note.replace(CHECK, "Check: ", 1), "       "))
-    paragraphs += [("Law: F = " + report.law_text, "     "), *_constants(report)]
+    law = "F = " + report.law_text
+    if is_speed(report.dataset.get("symbols", {}).get("m", "")):
+        law = "a steady velocity, and the companions that were found"
+    paragraphs += [("Law: " + law, "     "), *_constants(report)]
     paragraphs += [*_rounds(report), *_traced(report)]
     paragraphs += [*_powers(report), *_ties(report), *_dependence(report), *_noise(report)]
     notes = [note for note in notes if not note.startswith(CHECK)]
@@ -108,7 +113,7 @@ def _rounds(report):
             text = f"{r.effect.name}: {state} ({format_p(r.effect.p_value)})"
             if r.after is not None and is_number(r.after.rollout_rmse):
                 sizes = (length_text(e.rollout_rmse, e.unit) for e in (r.before, r.after))
-                text += f", held-out position error {' → '.join(sizes)}"
+                text += f", held-out {error_name(r.after.unit)} {' → '.join(sizes)}"
         out.append((f"Round {r.number}: {text}", "  "))
     return out
 

@@ -1,5 +1,6 @@
 """An unseen body in words: how strong it is, where, and what is known of its motion."""
 
+from bsp_gp.report.companion import companion_of
 from bsp_gp.report.numbers import format_number, format_value, with_unit
 
 _MOTIONS = {
@@ -24,7 +25,7 @@ def name_of(effect):
     """
     details = effect.details
     if not details:
-        return effect.name
+        return companion_of(effect)
     known = {c.name: c for c in effect.constants}
     names = [name for name in details["names"] if name in known]
     n_dims = len(details["centre"])
@@ -61,4 +62,10 @@ def _motion(effect):
 
 def rivals_of(equivalents):
     """What is not told apart, hidden bodies in words."""
-    return tuple(_MOTIONS.get(text.partition(":")[0], text) for text in equivalents)
+    return tuple(_told(text) for text in equivalents)
+
+
+def _told(text):
+    if text.endswith("of a companion"):
+        return "an unseen companion " + ("on a circle" if " cos(" in text else "on an ellipse")
+    return _MOTIONS.get(text.partition(":")[0], text)

@@ -104,7 +104,7 @@ DEFECTS = {
         {T: GOOD + GOOD.split("\n", 1)[1].replace("a,", "b,").replace("ball", "cork"),
          D: "[noise]\nball = 1\n"}, [D, "'cork'", '"*"'],
     ),
-    "velocity": ({T: GOOD, D: '[columns]\nvelocity = "yes"\n'}, [D, "only, unseen, ignore"]),
+    "velocity": ({T: GOOD, D: '[columns]\nvelocity = "yes"\n'}, [D, "only, unseen, sight, ignore"]),
     "column key": ({T: GOOD, D: '[columns]\nvelocty = "measured"\n'}, [D, "velocty", "velocity"]),
     "unknown unit": (
         {T: GOOD, D: '[units]\nlength = "smoot2"\ntime = "s"\n'}, [D, "smoot2", "column x"],

@@ -94,10 +94,10 @@ def test_velocities_with_few_rows_a_turn_are_not_added_up(tmp_path):
     speed = 50 * np.cos(2 * np.pi * t / 4.2) + rng.normal(0, 2, 60)
     rows = "".join(f"{a:.4f},{v:.3f},2\n" for a, v in zip(t, speed, strict=True))
     with pytest.raises(DataError, match="too far apart to be added up"):
-        bsp_gp.load_dataset(table(tmp_path, f"JD (day),RV (m/s),e_RV\n{rows}"))
+        bsp_gp.load_dataset(table(tmp_path, f"t (day),speed (m/s),e_speed\n{rows}"))
     often = 0.05 * np.arange(400)
     rows = "".join(f"{a:.4f},{50 * np.cos(1.5 * a):.6f},1e-3\n" for a in often)
-    assert bsp_gp.load_dataset(table(tmp_path, f"JD (day),RV (m/s),e_RV\n{rows}")).scenes
+    assert bsp_gp.load_dataset(table(tmp_path, f"t (day),speed (m/s),e_speed\n{rows}")).scenes
 
 
 @pytest.mark.parametrize(

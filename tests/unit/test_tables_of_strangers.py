@@ -101,12 +101,6 @@ def test_wide_separations_without_a_unit_are_milliarcseconds(tmp_path):
         )
 
 
-def test_velocities_along_the_line_of_sight_with_dates_are_refused(tmp_path):
-    lines = ["time mnvel errvel tel", *rows(2457782 + T, X, 0 * T + 1, ["k"] * 30, mark=" ")]
-    with pytest.raises(DataError, match="along the line of sight"):
-        load_dataset(written(tmp_path, lines))
-
-
 def test_places_on_the_globe_come_before_the_way_that_was_gone(tmp_path):
     header = '"Time (s)","Latitude (°)","Longitude (°)","Altitude (m)","Distance (km)"'
     lines = [header, *rows(T, 48 + 1e-5 * T, 9 + 1e-5 * X, 100 + T, T)]

@@ -21,6 +21,7 @@ from bsp_gp.loop.proposers.late import LateLogs
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.proposers.measurement import Measurement
 from bsp_gp.loop.proposers.noise import Noise
+from bsp_gp.loop.proposers.orbits import OrbitPairs, Orbits
 from bsp_gp.loop.proposers.own_laws import OwnLaws
 from bsp_gp.loop.proposers.periods import Periods
 from bsp_gp.loop.proposers.polynomials import Polynomials
@@ -48,6 +49,8 @@ def standard(grammar, dataset, **settings):
     **settings
         Of `Laws`.
     """
+    if dataset.is_of_sight:
+        return [Orbits(), OrbitPairs(), Noise()]
     laws = Laws(grammar, dataset, **settings)
     inside = Inside(laws, dataset)
     return [

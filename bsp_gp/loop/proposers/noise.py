@@ -31,9 +31,10 @@ class Noise:
         model = view.fit.noise
         if "declared" in model.sources:
             return self.doubted(view)
-        if not model.is_free.any() or model.correlated or model.is_correlation_known:
+        is_open = view.dataset.is_of_sight or not model.is_correlation_known
+        if not model.is_free.any() or model.correlated or not is_open:
             return Family(self.name)
-        plain = model.plain()
+        plain = replace(model.plain(), is_correlation_known=False)
         models = [
             replace(plain, correlated=share, correlation_time=float(time * view.step))
             for time in TIMES for share in SHARES

@@ -94,7 +94,33 @@ class Sight:
 
 
 def sight(flow, nodes):
-    """What a clock of its own shows of nodes (2, R, d, T, S) under the constants that are set."""
+    """What is seen of nodes (2, R, d, T, S) under the constants that are set."""
+    seen = _late(flow, nodes)
+    added = [part for part in flow.motion.law.frame if hasattr(part, "added")]
+    return _with_added(seen, flow, added) if added else seen
+
+
+def _with_added(seen, flow, parts):
+    """What is seen, and what parts add to it at every instant, whatever the places."""
+    motion, chains = flow.motion, flow.chains
+    places, (n_rows, n_chains, n_bodies, n_dims) = seen.places.copy(), seen.places.shape
+    n_seen, by_state, by_constant = n_bodies * n_dims, seen.by_state, seen.by_constant
+    if by_state is None:
+        by_state = np.zeros((n_rows, n_chains, n_seen, 2 * n_seen))
+        by_constant = np.zeros((n_rows, n_chains, n_seen, len(motion.parameters)))
+    numbers = {name: k for k, (name, _) in enumerate(motion.parameters)}  # others are known
+    times = np.nan_to_num(chains.times)
+    for part in parts:
+        value, slopes = part.added(times, motion.values)
+        places[..., part.axis] += value[..., None]
+        for name, slope in zip(part.names, slopes, strict=True):
+            if name in numbers:
+                by_constant[:, :, part.axis :: n_dims, numbers[name]] += slope[..., None]
+    return Sight(places, by_state, by_constant)
+
+
+def _late(flow, nodes):
+    """What a clock of its own shows of nodes."""
     places = np.moveaxis(nodes[0], (-2, -1), (0, 1))
     motion, chains = flow.motion, flow.chains
     parts = {

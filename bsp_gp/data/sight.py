@@ -1,0 +1,160 @@
+"""Velocities along the line of sight, of which no places are known: what a spectrograph gives.
+
+They are sparse beside the turns of a star and add up to no places: they stand in the place of a
+coordinate as they are, ``x`` in m/s or km/s, which stays as it is where nothing pulls the star.
+"""
+
+import re
+from dataclasses import replace
+
+import pandas as pd
+
+from bsp_gp.data.headings import RADIAL_NAMES, is_doubt, is_error_of, words_of
+from bsp_gp.data.scene import CHECK, SIGHT
+from bsp_gp.data.stars import with_date_unit
+from bsp_gp.errors import DataError, in_python
+from bsp_gp.units import is_speed
+
+INSTRUMENTS = frozenset("tel telescope instrument inst instr spectrograph ins".split())
+"""Words of columns that say by what a velocity was measured: each has a zero of its own."""
+MOST_INSTRUMENTS, FEWEST = 12, 4
+"""Instruments of one star, and rows of one that tell more than its zero."""
+SIGHT_NAMES = ("rv", "srv")
+"""How a caller names velocities along the line of sight, and their errors."""
+_ERRORS = frozenset("errvel velerr svrad sigrv rverr errrv erv urv rvunc drv".split())
+
+
+def sighted(table):
+    """The column of such velocities; "" of a table without one.
+
+    Raises
+    ------
+    DataError
+        Where several columns are.
+    """
+    if SIGHT_NAMES[0] in table.frame:
+        return SIGHT_NAMES[0]
+    texts = {n: table.theirs.get(n, table.unused.get(n, n)) for n in map(str, table.frame.columns)}
+    named = {name: text for name, text in texts.items() if is_of_sight(text)}
+    found = {
+        name: text for name, text in named.items()
+        if not any(_is_its_error(text, of) for of in named.values() if of != text)
+    }  # fmt: skip
+    if len(found) > 1:
+        (name, text), listed = next(iter(found.items())), ", ".join(found.values())
+        raise DataError(
+            f"several columns may be velocities along the line of sight: {listed}",
+            file=table.file, column=name, remedy=f'say which is meant: --columns rv="{text}"',
+        )  # fmt: skip
+    return next(iter(found), "")
+
+
+def is_of_sight(heading):
+    """Whether a heading is that of a velocity along the line of sight, and of nothing else."""
+    words = words_of(heading)
+    is_named = bool(words & RADIAL_NAMES) or {"radial", "velocity"} <= words
+    return is_named and not is_doubt(heading)
+
+
+def along_sight(table, declaration, column):
+    """The table with such velocities as its one coordinate, and its declaration.
+
+    Parameters
+    ----------
+    table : Table
+    declaration : Declaration
+    column : str
+        Of the velocities.
+
+    Raises
+    ------
+    DataError
+        If their unit is none of a speed, or no instrument has rows enough.
+    """
+    heading = table.theirs.get(column, table.unused.get(column, column))
+    said = declaration.units
+    unit = said.get(column, said.get("velocity", table.units.get(column, "")))
+    notes = [f"{heading!r} is read as velocities along the line of sight: no places are known, and "
+             "companions are sought in these"]  # fmt: skip
+    if not unit:
+        unit = "m/s"
+        notes.append(in_python(
+            f"{CHECK}{heading!r} has no unit: m/s is taken; --units velocity=km/s says otherwise"
+        ))  # fmt: skip
+    elif not is_speed(unit):
+        raise DataError(
+            f"{heading!r} is read as a velocity along the line of sight, and {unit!r} is no unit "
+            "of one", file=table.file, column=column, remedy="give it, --units velocity=km/s",
+        )  # fmt: skip
+    table = _with_days(with_date_unit(table, declaration), declaration)
+    own = {column: "x"}
+    error = _error_of(table, column, heading, unit)
+    if error:
+        own[error] = "sx"
+        notes.append(f"{table.unused.get(error, error)!r} is taken as its error")
+    table = replace(
+        table, frame=table.frame.rename(columns=own), notes=(*table.notes, *notes),
+        theirs={**table.theirs, "x": heading},
+        units={name: text for name, text in table.units.items() if name not in own},
+        unused={name: text for name, text in table.unused.items() if name not in own},
+    )  # fmt: skip
+    kept = {name: text for name, text in said.items() if name not in (*own, "velocity")}
+    return _by_instruments(table), replace(
+        declaration, velocity=SIGHT, first_velocity="rest", units={**kept, "length": unit}
+    )
+
+
+def _with_days(table, declaration):
+    """The table with days for times without a unit."""
+    said = {"t", "time"} & {*declaration.units, *table.units}
+    if said or "t" not in table.frame or table.is_dated:
+        return table
+    note = in_python(f"{CHECK}column {table.theirs.get('t', 't')!r} has no unit: days are taken; "
+                     "--units time=UNIT says otherwise")  # fmt: skip
+    return replace(table, units={**table.units, "t": "day"}, notes=(*table.notes, note))
+
+
+def _error_of(table, column, heading, unit):
+    """The one column of numbers that says how sure each velocity is; "" where none does."""
+    if SIGHT_NAMES[1] in table.frame or "sx" in table.frame:
+        return SIGHT_NAMES[1] if SIGHT_NAMES[1] in table.frame else ""
+    found = [
+        name for name, text in table.unused.items()
+        if name != column and name in table.frame and _is_its_error(text, heading)
+        and table.units.get(name, unit) == unit
+        and pd.api.types.is_numeric_dtype(table.frame[name])
+    ]  # fmt: skip
+    return found[0] if len(found) == 1 else ""
+
+
+def _is_its_error(text, heading):
+    """Whether a heading is that of the error: ``errvel`` beside ``mnvel`` too."""
+    word = re.sub(r"[^a-z]", "", text.lower())
+    return is_error_of(text, heading) or word in _ERRORS
+
+
+def _by_instruments(table):
+    """The table with the velocities of each instrument as a recording of its own."""
+    if "scene" in table.frame:
+        return table
+    names = [n for n, text in table.unused.items() if n in table.frame
+             and words_of(text) & INSTRUMENTS]  # fmt: skip
+    if len(names) != 1:
+        return table
+    (name,) = names
+    counts = table.frame[name].astype(str).value_counts()
+    if not 1 < len(counts) <= MOST_INSTRUMENTS:
+        return table
+    few = sorted(counts.index[counts < FEWEST])
+    if len(few) == len(counts):
+        return table
+    told = f"{table.unused[name]!r} says by what each was measured: each has a zero of its own"
+    if few:
+        told += f"; left out, since few: {', '.join(f'{k} ({counts[k]})' for k in few)}"
+    of = table.frame[name].astype(str)
+    frame = table.frame.assign(scene=of)[~of.isin(few)].drop(columns=name)
+    return replace(
+        table, frame=frame, notes=(*table.notes, told),
+        theirs={**table.theirs, "scene": table.unused[name]},
+        unused={k: text for k, text in table.unused.items() if k != name},
+    )  # fmt: skip

@@ -1,0 +1,139 @@
+"""What an unseen companion adds to velocities along the line of sight: Kepler's orbit of the star.
+
+``v = K (cos(nu + omega) + e cos(omega))``, with the true anomaly nu of Kepler's equation. It is
+added to what is seen: no track of velocities is integrated through thousands of turns.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bsp_gp.fitting.ellipses import eccentric_anomaly
+from bsp_gp.fitting.hypothesis import Numbered
+
+HIGHEST = 0.97
+"""Eccentricity up to which orbits are sought."""
+
+
+@dataclass(frozen=True)
+class AnyAngle:
+    """The prior of an angle that is as likely all round, and told beyond a turn as within."""
+
+    is_logarithmic = False
+    pull = (0.0, math.inf)
+    spread = 2 * math.pi / math.sqrt(12)
+
+    def log_prob(self, x):
+        """Log density."""
+        return np.full(np.shape(x), -math.log(2 * math.pi))
+
+
+@dataclass(frozen=True)
+class Orbit(Numbered):
+    """The turns of a star about the centre of mass that it shares with a companion.
+
+    Attributes
+    ----------
+    numbers : tuple of Parameter
+        Period, semi-amplitude and mean longitude at the epoch (the angle from the node at which a
+        body on a circle would be); of an ellipse also its eccentricity and the angle of the closest
+        approach from the node.
+    epoch : float, s
+    axis : int
+        Of the coordinate in whose place velocities stand.
+    """
+
+    numbers: tuple
+    epoch: float
+    axis: int = 0
+    code = "orbit"
+    kind = "instrument"
+
+    @property
+    def is_circle(self):
+        """Whether it has no eccentricity."""
+        return len(self.numbers) == 3
+
+    @property
+    def angles(self):
+        """Names of its numbers that are angles."""
+        return tuple(name for name in self.names if name.startswith(("longitude", "omega")))
+
+    def undo(self, g, place, time, is_driven):
+        """Places as they are: what is added to what is seen moves nothing."""
+        return place, time
+
+    def added(self, times, values):
+        """Velocities at times of any shape, and their changes by each number, (k, ...).
+
+        Parameters
+        ----------
+        values : mapping of str to float
+        """
+        numbers = [values[name] for name in self.names]
+        return _circle(times, self.epoch, *numbers) if self.is_circle else _ellipse(
+            times, self.epoch, *numbers
+        )
+
+    def describe(self):
+        """Formula-like."""
+        period, size, *_ = self.names
+        shape = "cos" if self.is_circle else "Kepler"
+        return f"v = V + {size} {shape}(2 pi t / {period}) of a companion"
+
+
+@dataclass(frozen=True)
+class Trend(Numbered):
+    """A velocity along the line of sight that changes steadily: a companion far out.
+
+    Attributes
+    ----------
+    numbers : tuple of Parameter
+        The acceleration.
+    epoch : float, s
+    axis : int
+    """
+
+    numbers: tuple
+    epoch: float
+    axis: int = 0
+    code = "trend"
+    kind = "instrument"
+
+    def undo(self, g, place, time, is_driven):
+        """As that of an orbit."""
+        return place, time
+
+    def added(self, times, values):
+        """As that of an orbit."""
+        (name,) = self.names
+        return values[name] * (times - self.epoch), (times - self.epoch)[None]
+
+    def describe(self):
+        """Formula-like."""
+        return f"v = V + {self.names[0]} t"
+
+
+def _circle(times, epoch, period, size, longitude):
+    turn = 2 * math.pi * (times - epoch) / period
+    cos, sin = np.cos(turn + longitude), np.sin(turn + longitude)
+    return size * cos, np.stack([size * sin * turn / period, cos, -size * sin])
+
+
+def _ellipse(times, epoch, period, size, longitude, eccentricity, omega):
+    turn = 2 * math.pi * (times - epoch) / period
+    anomaly = eccentric_anomaly(turn + longitude - omega, eccentricity)
+    cos, sin, flat = np.cos(anomaly), np.sin(anomaly), math.sqrt(1 - eccentricity**2)
+    near = 1 - eccentricity * cos
+    cos_nu, sin_nu = (cos - eccentricity) / near, flat * sin / near
+    cos_w, sin_w = math.cos(omega), math.sin(omega)
+    shape = cos_nu * cos_w - sin_nu * sin_w + eccentricity * cos_w
+    across = sin_nu * cos_w + cos_nu * sin_w  # of the argument of latitude
+    by_mean = -across * flat / near**2  # the true anomaly by the mean one is flat / near^2
+    by_shape = cos_w - across * sin_nu * (1 / near + 1 / flat**2)
+    by_angle = -across - eccentricity * sin_w
+    return size * shape, np.stack([
+        -size * by_mean * turn / period, shape, size * by_mean, size * by_shape,
+        size * (by_angle - by_mean),
+    ])  # fmt: skip

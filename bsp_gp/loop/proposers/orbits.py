@@ -1,0 +1,371 @@
+"""Unseen companions of a star by its velocities along the line of sight.
+
+With period, eccentricity and the time of the closest approach a velocity is linear in two numbers:
+these are projected out. Circles of every period are scored first, and ellipses at the best of them.
+"""
+
+import math
+from copy import copy
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from bsp_gp.fitting.ellipses import eccentric_anomaly
+from bsp_gp.fitting.hypothesis import Hypothesis, Parameter, TrackNoise
+from bsp_gp.fitting.parts.orbits import HIGHEST, AnyAngle, Orbit, Trend
+from bsp_gp.inference.priors import Prior
+from bsp_gp.loop.proposal import PATIENT, Family, Proposal
+from bsp_gp.physics.force import fresh_names
+from bsp_gp.search.columns import orthonormal
+from bsp_gp.units import DIMENSIONLESS, Unit
+
+LONGEST, OVERSAMPLING, MOST_PERIODS = 2.5, 5, 40_000
+"""The longest period in spans of the recording, frequencies in each turn more, and all of them."""
+CLOSE, EVEN, SHORTEST = 0.05, 0.02, {True: 2.0, False: 0.25}
+"""The part of all steps that are short ones; by how much of such a one all others may miss whole
+numbers of it where rows are evenly spaced; the shortest period in these, of even rows (Nyquist's)
+and of others, which show much shorter ones."""
+BLOCK = 400
+"""Periods that are scored at a time."""
+N_FIRSTS, N_PAIR_DRAWS = 60, 20
+"""Periods beside which a second is sought, and draws of noise in which it is."""
+N_PEAKS, N_PHASES, N_BEST = 30, 16, 3
+"""Periods at which ellipses are tried, times of the closest approach, and starts of descents."""
+ECCENTRICITIES = (0.1, 0.3, 0.5, 0.7, 0.85, 0.93)
+NAMES = ("P", "K", "longitude", "e", "omega")
+LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
+
+
+class Orbits:
+    """Companions on circles and ellipses as a proposer."""
+
+    name = "orbits"
+    asks_rows = True
+
+    def propose(self, view):
+        """The family of all periods, from those of two steps to those of more than the recording.
+
+        A circle has three numbers, an ellipse five.
+        """
+        scan = _Scan(view)
+        trend = _trend(view, scan)
+        if not len(scan.rates):
+            return Family(self.name, (trend,), null=np.zeros(len(view.row_draws)))
+        gains = scan.circles()
+        rates = scan.rates[_peaks(gains[:, 0], N_PEAKS)]
+        found = scan.closer(rates[0]), scan.ellipse(rates)
+        proposals = (trend, *(_proposal(view, scan, (orbit,)) for orbit in found))
+        return _family(self.name, scan, proposals, gains.max(axis=0), 2)
+
+
+class OrbitPairs:
+    """Two companions at once as a proposer: what one leaves of two hides that one.
+
+    Beside each of the likeliest circles a second is sought.
+    """
+
+    name = "orbit pairs"
+    asks_rows = True
+
+    def propose(self, view):
+        """The family of all pairs of periods."""
+        scan = _Scan(view)
+        if not len(scan.rates):
+            return Family(self.name, null=np.zeros(len(view.row_draws)))
+        gains = scan.circles()
+        tried = []
+        for k in _peaks(gains[:, 0], N_FIRSTS):
+            more = scan.seconds(scan.rates[k], 0)
+            j = int(np.argmax(more))
+            tried.append((gains[k, 0] + more[j], scan.rates[k], scan.rates[j]))
+        best, *rates = max(tried)
+        null = []
+        for n, draw in enumerate(gains.T[1 : 1 + N_PAIR_DRAWS], 1):
+            k = int(np.argmax(draw))
+            null.append(draw[k] + scan.seconds(scan.rates[k], n).max())
+        pairs = scan.pairs(*rates)
+        oval = scan.ellipse(scan.rates[_peaks(gains[:, 0], N_PEAKS)])
+        beside = scan.beside(oval)
+        other = beside.closer(beside.rates[int(np.argmax(beside.circles()[:, 0]))])
+        pairs += [(oval, other), (scan.beside(other).ellipse([oval[0]]), other)]
+        proposals = [_proposal(view, scan, pair) for pair in pairs]
+        return _family(self.name, scan, proposals, np.array([best, *null]), 4)
+
+
+def _family(name, scan, proposals, gains, rank):
+    """The family of orbits, from the greatest gains (1 + B,) on the data and on noise.
+
+    The noise is told from the same rows: what takes most of them away is as likely as it makes what
+    is left small, ``S log(S / (S - gain))`` of all S.
+    """
+    total = np.square(scan.targets[: len(gains)]).sum(axis=1)
+    gains = -total * np.log1p(-np.minimum(gains / total, 1 - 1e-9))
+    proposals = sorted(proposals, key=lambda p: -p.promise)
+    return Family(
+        name, tuple(proposals), float(gains[0]), rank, gains[1:], n_tried=len(scan.rates),
+        is_continuum=True,
+    )  # fmt: skip
+
+
+class _Scan:
+    """Gains of velocities on what a fit leaves of the rows, and on draws of noise.
+
+    Attributes
+    ----------
+    epoch, span : float, s
+    extent, error : float
+        From the lowest to the highest velocity, and of one of them.
+    rates : ndarray, shape (F,), rad/s
+    """
+
+    def __init__(self, view):
+        self.view, channels = view, view.fit.channels
+        self.axis = int(np.flatnonzero(np.isfinite(view.fit.noise.levels))[0])
+        self.is_own = (channels.axis == self.axis) & channels.seen
+        times = np.where(self.is_own, channels.times, np.nan)
+        self.epoch = float((np.nanmin(times) + np.nanmax(times)) / 2)
+        self.times = np.nan_to_num(times - self.epoch)
+        self.span = float(np.nanmax(times) - np.nanmin(times))
+        own = [s.positions[:, s.dynamic, self.axis] for s in view.dataset.scenes]
+        self.extent = max(float(np.nanmax(x) - np.nanmin(x)) for x in own)
+        white, amplitude = view.fit.noise.parts(channels)
+        self.error = float(np.sqrt(np.nanmedian((white + amplitude**2)[self.is_own])))
+        low = 1.0 / (LONGEST * self.span)
+        high = 1.0 / _shortest(times)
+        count = int((high - low) * OVERSAMPLING * self.span)
+        steps = np.arange(max(min(count, MOST_PERIODS), 0))
+        self.rates = 2 * math.pi * (low + steps / (OVERSAMPLING * self.span))
+        self.targets = np.concatenate([view.tangent.residual[None], view.row_draws])
+        self.basis = np.zeros((0, self.targets.shape[1]))  # of what other orbits take up
+
+    def projected(self, columns):
+        """Velocities (c, T, C), beside everything free, (c, n)."""
+        return self._without(self.view.tangent.projected(np.where(self.is_own, columns, 0.0)))
+
+    def _without(self, rows):
+        """Rows (c, n) beside what other orbits take up."""
+        return rows - (rows @ self.basis.T) @ self.basis
+
+    def gains(self, columns):
+        """Chi-squared that pairs of velocities (f, 2, T, C) gain, (f, 1 + B)."""
+        rows = self.projected(columns.reshape(-1, *columns.shape[2:]))
+        return _gains(_grams(rows), rows @ self.targets.T)
+
+    def circles(self):
+        """Chi-squared that circles of every period gain, (F, 1 + B)."""
+        blocks = (self._without(rows) if len(self.basis) else rows for rows in self.blocks)
+        return np.concatenate([_gains(_grams(rows), rows @ self.targets.T) for rows in blocks])
+
+    def seconds(self, rate, which):
+        """Chi-squared that circles of every period gain of a target beside one of a rate, (F,)."""
+        target = self.targets[which]
+        first = self.projected(self._columns(rate, 0.0, 0.0))
+        basis = orthonormal(first.T, len(target)).T
+        found = []
+        for rows, grams in zip(self.blocks, self.grams, strict=True):
+            inside = rows @ basis.T  # (2 f, 2)
+            dots = rows @ target - inside @ (basis @ target)
+            found.append(_gains(grams - _grams(inside), dots[:, None])[:, 0])
+        return np.concatenate(found)
+
+    @cached_property
+    def grams(self):
+        """Of the blocks."""
+        return [_grams(rows) for rows in self.blocks]
+
+    @cached_property
+    def blocks(self):
+        """Cosines and sines of all rates, one behind the other, by blocks of rates (2 f, n)."""
+        out = []
+        for first in range(0, len(self.rates), BLOCK):
+            angle = self.rates[first : first + BLOCK, None, None] * self.times
+            waves = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            waves = np.where(self.is_own, waves, 0.0).reshape(-1, *self.times.shape)
+            out.append(self.view.tangent.projected(waves))
+        return out
+
+    def beside(self, point):
+        """The same beside an orbit, and small changes of its numbers."""
+        columns = self._columns(*point)
+        amounts = self._left(columns)[1]
+        steps = (1e-4 / self.span, 1e-4, 1e-4)[: 3 if point[1] else 1]
+        moved = (
+            tuple(x + (k == i) * step for k, x in enumerate(point)) for i, step in enumerate(steps)
+        )
+        changes = [np.tensordot(amounts, self._columns(*m) - columns, 1) for m in moved]
+        other = copy(self)
+        rows = np.concatenate([self.basis, self.projected(np.concatenate([columns, changes]))])
+        other.basis = orthonormal(rows.T, rows.shape[1]).T
+        other.targets = other._without(self.targets)
+        return other
+
+    def pairs(self, one, other):
+        """Pairs of orbits near two rates, circles and ellipses."""
+        one, other = self.closer(one), self.closer(other)
+        for _ in range(2):  # beside each other
+            one, other = self.beside(other).closer(one[0]), self.beside(one).closer(other[0])
+        round_, oval = (one, other), (
+            self.beside(other).ellipse([one[0]]), self.beside(one).ellipse([other[0]])
+        )  # fmt: skip
+        return [(a, b) for a in (round_[0], oval[0]) for b in (round_[1], oval[1])]
+
+    def closer(self, rate):
+        """The best circle near a rate: rate, eccentricity 0, phase."""
+        step = 2 * math.pi / (OVERSAMPLING * self.span)
+
+        def left(numbers):
+            return self._left(self._columns(numbers[0], 0.0, 0.0))[0]
+
+        found = least_squares(left, [rate], bounds=([rate - step], [rate + step]), x_scale=step)
+        return float(found.x[0]), 0.0, 0.0
+
+    def ellipse(self, rates):
+        """The best ellipse of those near some rates: rate, eccentricity, mean anomaly at the epoch.
+
+        A short approach is seen best in a multiple of its rate: twice and three times as long
+        periods are tried as well.
+        """
+        low = self.rates[0] / 2
+        rates = np.asarray(rates)
+        rates = np.concatenate([rates, rates[:5] / 2, rates[:5] / 3])
+        rates = rates[rates > low]
+        phases = 2 * math.pi * np.arange(N_PHASES) / N_PHASES
+        grid = [(rate, e, phase) for rate in rates for e in ECCENTRICITIES for phase in phases]
+        gained = np.concatenate([
+            self.gains(np.stack([self._columns(*point) for point in grid[first : first + BLOCK]]))
+            for first in range(0, len(grid), BLOCK)
+        ])[:, 0]  # fmt: skip
+        step = 2 * math.pi / self.span
+
+        def left(numbers):
+            return self._left(self._columns(*numbers))[0]
+
+        best = None
+        for k in np.argsort(-gained)[:N_BEST]:
+            rate, e, phase = grid[k]
+            found = least_squares(
+                left, grid[k], x_scale=(step / OVERSAMPLING, 0.1, 0.3),
+                bounds=((max(rate - step, low / 4), 0.0, phase - 4.0),
+                        (rate + step, HIGHEST, phase + 4.0)),
+            )  # fmt: skip
+            if best is None or found.cost < best.cost:
+                best = found
+        return tuple(map(float, best.x))
+
+    def _columns(self, rate, eccentricity, phase):
+        """The two velocities of an orbit, (2, T, C)."""
+        anomaly = eccentric_anomaly(rate * self.times + phase, eccentricity)
+        near = 1 - eccentricity * np.cos(anomaly)
+        cos = (np.cos(anomaly) - eccentricity) / near
+        sin = math.sqrt(1 - eccentricity**2) * np.sin(anomaly) / near
+        return np.stack([cos + eccentricity, -sin])
+
+    def _left(self, columns):
+        """What two velocities leave of the rows, and their amounts."""
+        rows, target = self.projected(columns), self.targets[0]
+        amounts = np.linalg.lstsq(rows.T, target, rcond=1e-10)[0]
+        return target - amounts @ rows, amounts
+
+    def orbits(self, points):
+        """Numbers of orbits that act together, and the chi-squared that they gain.
+
+        Each: period, size, mean longitude at the epoch, eccentricity, omega.
+        """
+        left, amounts = self._left(np.concatenate([self._columns(*point) for point in points]))
+        gain = float(np.square(self.targets[0]).sum() - np.square(left).sum())
+        numbers = []
+        for (rate, eccentricity, phase), (one, other) in zip(
+            points, amounts.reshape(-1, 2), strict=True
+        ):
+            omega, size = math.atan2(other, one), math.hypot(one, other)
+            longitude = math.remainder(phase + omega, 2 * math.pi)
+            numbers.append((2 * math.pi / rate, size, longitude, eccentricity, omega))
+        return numbers, gain
+
+
+def _shortest(times):
+    """The shortest period that rows at times (T, C) tell from others, s."""
+    steps = [np.diff(np.sort(own[np.isfinite(own)])) for own in times.T]
+    steps = np.concatenate(steps)
+    steps = steps[steps > 0]
+    step = float(np.quantile(steps, CLOSE))
+    off = np.abs(steps / step - np.round(steps / step))
+    return SHORTEST[bool((off < EVEN * np.maximum(steps / step, 1.0)).all())] * step
+
+
+def _grams(rows):
+    """Products of pairs of rows (2 f, n), one behind the other, with themselves, (3, f)."""
+    one, other = rows[::2], rows[1::2]
+    pairs = (one, one), (one, other), (other, other)
+    return np.stack([np.einsum("fn,fn->f", x, y) for x, y in pairs])
+
+
+def _gains(grams, dots):
+    """Chi-squared that pairs gain, (f, B), from products with themselves and with targets."""
+    (a, b, c), u, v = grams[:, :, None], dots[::2], dots[1::2]
+    area = a * c - b * b
+    is_pair = area > 1e-9 * a * c
+    both = (c * u * u - 2 * b * u * v + a * v * v) / np.where(is_pair, area, 1.0)
+    return np.where(is_pair, both, u * u / np.where(a > 0, a, np.inf))
+
+
+def _peaks(gains, most):
+    """The highest peaks of a curve, the best first."""
+    padded = np.concatenate([[-np.inf], gains, [-np.inf]])
+    peaks = np.flatnonzero((gains >= padded[:-2]) & (gains > padded[2:]))
+    return peaks[np.argsort(-gains[peaks])][:most]
+
+
+def _proposal(view, scan, points):
+    """Orbits; one of no eccentricity is a circle."""
+    law, parts = view.fit.law, []
+    found, gain = scan.orbits(points)
+    for numbers in found:
+        part = Orbit(_numbers(law, scan, numbers), scan.epoch, scan.axis)
+        law, parts = replace(law, frame=(*law.frame, part)), [*parts, part]
+    rank = sum(len(part.numbers) for part in parts)
+    # What is left beside companions may have a memory: the star's own.
+    noise = TrackNoise(replace(view.hypothesis.noise, is_correlation_known=False))
+    return Proposal(
+        "orbit", " + ".join(part.describe() for part in parts),
+        view.hypothesis + Hypothesis((*parts, noise)), -view.criteria.cause_nats * len(parts), gain,
+        rank, kind="hidden_body", patience=PATIENT,
+    )  # fmt: skip
+
+
+def _numbers(law, scan, values):
+    """Numbers of an orbit, which begin at some values, tuple of Parameter."""
+    error = scan.error
+    period = Prior("log_uniform", math.pi / scan.rates[-1], 8 * math.pi / scan.rates[0])
+    size = Prior("log_uniform", error / 100, 1e6 * error)
+    angle, ever = AnyAngle(), (-math.inf, math.inf)
+    names = fresh_names(law, NAMES).values()
+    of = (
+        (TIME, period.low, period.high, period), (LENGTH, 0.0, size.high, size),
+        (DIMENSIONLESS, *ever, angle),
+        (DIMENSIONLESS, 0.0, HIGHEST, Prior("uniform", 0.0, 1.0)), (DIMENSIONLESS, *ever, angle),
+    )  # fmt: skip
+    n_numbers = len(of) if values[3] else 3
+    return tuple(
+        Parameter(name, "", unit, low, high, value, prior)
+        for name, (unit, low, high, prior), value in list(
+            zip(names, of, values, strict=True)
+        )[:n_numbers]
+    )  # fmt: skip
+
+
+def _trend(view, scan):
+    """A steady change, as far as the rows tell it to begin with."""
+    rows = scan.projected(np.where(scan.is_own, scan.times, 0.0)[None])[0]
+    size = float(rows @ rows)
+    slope = float(rows @ scan.targets[0]) / size if size > 0 else 0.0
+    widest = Prior("truncated_normal", mean=0.0, sd=scan.extent / scan.span)
+    (name,) = fresh_names(view.fit.law, ("trend",)).values()
+    number = Parameter(name, "", LENGTH / TIME, start=slope, prior=widest)
+    part = Trend((number,), scan.epoch, scan.axis)
+    return Proposal(
+        "trend", part.describe(), view.hypothesis + part, -view.criteria.cause_nats,
+        slope**2 * size, kind="hidden_body",
+    )  # fmt: skip

@@ -1,0 +1,150 @@
+"""Velocities along the line of sight: how they are read, and the companions that they show."""
+
+import numpy as np
+import pytest
+
+from bsp_gp.data.tables import load_dataset
+from bsp_gp.errors import DataError
+from bsp_gp.fitting.hypothesis import Parameter
+from bsp_gp.fitting.parts.orbits import Orbit, Trend
+from bsp_gp.loop.close import close_loop
+from bsp_gp.report.summary import summary_text
+
+DAY = 86400.0
+NAMES = ("P", "K", "longitude", "e", "omega")
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20)
+
+
+def orbit(values, epoch=0.0):
+    """An orbit of a period in days."""
+    return Orbit(tuple(Parameter(name) for name in NAMES[: len(values)]), epoch)
+
+
+def velocities(times, *orbits):
+    """Velocities at times in days, m/s."""
+    total = np.zeros(len(times))
+    for values in orbits:
+        own = dict(zip(NAMES, (values[0], *values[1:]), strict=False))
+        total += orbit(values).added(times, own)[0]
+    return total
+
+
+def observed(rng, count, span, *orbits, error=2.0):
+    """Dates at night in seasons, velocities and their errors."""
+    days = np.sort(rng.choice(np.flatnonzero(np.arange(span) % 365 < 220), count, replace=False))
+    dates = days + rng.normal(0.4, 0.08, count)
+    return dates, velocities(dates, *orbits) + rng.normal(0, error, count), np.full(count, error)
+
+
+def write(path, dates, speeds, errors, heading="BJD,RV (m/s),e_RV", more=""):
+    rows = [
+        f"{2450000 + d:.5f},{v:.3f},{e:.2f}{more}"
+        for d, v, e in zip(dates, speeds, errors, strict=True)
+    ]
+    path.write_text("\n".join([heading, *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("values", [(7.0, 2.0, 0.4), (7.0, 2.0, 0.4, 0.6, 1.1)])
+def test_slopes_of_an_orbit(values):
+    times, names = np.linspace(0, 30, 50), NAMES[: len(values)]
+    part, known = orbit(values, 3.0), dict(zip(NAMES, values, strict=False))
+    slopes = part.added(times, known)[1]
+    for name, slope in zip(names, slopes, strict=True):
+        step = 1e-6
+        ends = (part.added(times, {**known, name: known[name] + way})[0] for way in (step, -step))
+        after, before = ends
+        np.testing.assert_allclose(slope, (after - before) / (2 * step), atol=1e-6)
+
+
+def test_an_ellipse_without_eccentricity_is_a_circle():
+    times = np.linspace(0, 30, 50)
+    np.testing.assert_allclose(
+        velocities(times, (7.0, 2.0, 0.4, 0.0, 1.1)), velocities(times, (7.0, 2.0, 0.4)), atol=1e-12
+    )
+
+
+def test_a_trend_is_steady():
+    part = Trend((Parameter("trend1"),), 5.0)
+    value, slopes = part.added(np.array([5.0, 7.0]), {"trend1": 3.0})
+    assert value.tolist() == [0.0, 6.0] and slopes.tolist() == [[0.0, 2.0]]
+
+
+def test_what_is_read(tmp_path, rng):
+    dates, speeds, errors = observed(rng, 20, 400, (30.0, 20.0, 1.0))
+    file = write(tmp_path / "star.csv", dates, speeds, errors)
+    data = load_dataset(file)
+    (scene,) = data.scenes
+    assert data.is_of_sight and data.units.is_speed
+    np.testing.assert_allclose(scene.positions[:, 0, 0], speeds, atol=1e-3)
+    np.testing.assert_allclose(scene.sigma[:, 0, 0], errors)
+    np.testing.assert_allclose(np.diff(scene.times), np.diff(dates) * DAY, atol=1.0)
+
+
+def test_names_of_the_caller_and_instruments(tmp_path, rng):
+    dates, speeds, errors = observed(rng, 20, 400, (30.0, 20.0, 1.0))
+    rows = [f"{d:.5f} {v:.3f} {e} {'AB'[k % 2]}"
+            for k, (d, v, e) in enumerate(zip(dates + 2450000, speeds, errors, strict=True))]
+    file = tmp_path / "star.txt"
+    file.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    data = load_dataset(file, columns={"t": "1", "rv": "2", "srv": "3", "scene": "4"})
+    assert data.is_of_sight and [scene.name for scene in data.scenes] == ["A", "B"]
+    named = write(tmp_path / "named.csv", dates, speeds, errors, "time,mnvel,errvel,tel", ",k")
+    assert load_dataset(named).is_of_sight
+    assert any("m/s is taken" in note for note in load_dataset(named).notes)
+
+
+def test_few_rows_of_an_instrument_are_left_out(tmp_path, rng):
+    dates, speeds, errors = observed(rng, 12, 400, (30.0, 20.0, 1.0))
+    rows = [f"{d + 2450000:.5f},{v:.3f},{e},{'old' if k < 2 else 'new'}"
+            for k, (d, v, e) in enumerate(zip(dates, speeds, errors, strict=True))]
+    file = tmp_path / "star.csv"
+    file.write_text("\n".join(["BJD,RV (km/s),e_RV,inst", *rows]) + "\n", encoding="utf-8")
+    data = load_dataset(file)
+    assert [scene.name for scene in data.scenes] == ["new"]
+    assert any("old (2)" in note for note in data.notes)
+    assert data.units.symbols["m"] == "km/s"
+
+
+def test_two_velocities_are_asked_for(tmp_path):
+    file = tmp_path / "double.csv"
+    file.write_text("JD,RV1 rv,RV2 rv\n2450000.1,1,2\n2450001.2,3,1\n2450003.4,2,4\n", "utf-8")
+    with pytest.raises(DataError, match="say which is meant|several columns"):
+        load_dataset(file)
+
+
+def test_a_companion_on_an_ellipse(tmp_path, rng):
+    dates, speeds, errors = observed(rng, 70, 1500, (97.3, 40.0, 1.0, 0.45, 2.0))
+    file = write(tmp_path / "star.csv", dates, speeds + 12.0, errors)
+    report = close_loop(load_dataset(file), "nothing", rng=rng, n_bootstrap=0)
+    found = {c.name: c for c in report.constants}
+    assert report.verdict == "effect adopted"
+    assert sum(r.adopted for r in report.rounds) == 1
+    period, size, shape = (found[name] for name in ("P1", "K1", "e1"))
+    assert abs(period.value / DAY - 97.3) < 1.5 * (period.high - period.low) / DAY
+    assert abs(size.value - 40.0) < 1.5 * (size.high - size.low)
+    assert abs(shape.value - 0.45) < 1.5 * (shape.high - shape.low)
+    text = " ".join(summary_text(report).split())
+    assert "unseen companion with a period of 97." in text and "velocity error" in text
+
+
+def test_two_companions_each_of_which_hides_the_other(tmp_path, rng):
+    dates, speeds, errors = observed(rng, 60, 1300, (11.75, 25.0, 1.0), (103.7, 30.0, 4.0))
+    file = write(tmp_path / "star.csv", dates, speeds, errors)
+    report = close_loop(load_dataset(file), "nothing", rng=rng, n_bootstrap=0)
+    periods = sorted(c.value / DAY for c in report.constants if c.name.startswith("P"))
+    assert len(periods) == 2
+    np.testing.assert_allclose(periods, [11.75, 103.7], rtol=0.02)
+
+
+def test_noise_alone_has_no_companion(tmp_path, rng):
+    dates, speeds, errors = observed(rng, 50, 900, error=3.0)
+    report = close_loop(
+        load_dataset(write(tmp_path / "star.csv", dates, speeds, errors)), "nothing", rng=rng,
+        n_bootstrap=0,
+    )
+    assert report.verdict == "nothing missing"
