@@ -267,15 +267,9 @@ def _without(hypothesis, done):
 
 
 def _of_one(hypothesis, done):
-    """A hypothesis with one number in place of those that a round gave to each owner.
+    """A hypothesis with one number in place of those that a round gave to each owner, term, text.
 
-    Returns
-    -------
-    hypothesis : Hypothesis or None
-        None where the number is there no more, or is a declared one's.
-    formula : Formula
-        The term, as it is then.
-    text : str
+    None where the number is there no more, or is a declared one's.
     """
     known = set(done.entering.law.constants)
     for k, part in enumerate(hypothesis.parts):

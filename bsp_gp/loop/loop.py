@@ -850,18 +850,12 @@ class _Turn:
             self.spare[measure] = max(SPARE[measure] * proposal.promise, left)
 
     def _tell_near(self, every, above, most, off):
-        """Rows of what was scored only, in the terms of what was fitted of its family.
+        """Rows of what was scored only, `every`, in the terms of what was fitted of its family.
 
-        Parameters
-        ----------
-        every : list of (str, Proposal)
-        above : dict of str to dict of int to (float, float)
-            By family and rank, posteriors and likelihoods above what was promised.
-        most : dict of str to float
-            By family, the greatest promise of what was fitted: of what promises much more nothing
-            is foreseen, it was asked for and did not fit.
-        off : set of str
-            Families whose promises were kept by some and not by others: the likeliest are fitted.
+        `above` are posteriors and likelihoods above what was promised, by family and rank. Of what
+        promises much more than `most`, the greatest of what was fitted, nothing is foreseen: it was
+        asked for and did not fit. Of families in `off`, whose promises some kept and others not,
+        the likeliest are fitted.
         """
         criteria = self.run.criteria
         least = max(row.log_posterior for row in self.rows) - criteria.class_nats
@@ -1141,14 +1135,7 @@ def _without_weakest(proposal, found, criteria):
 
 
 def _led_by(form, proposal, found, criteria):
-    """A sum of laws with another form in the place of its first, from where its fit is.
-
-    Parameters
-    ----------
-    form, proposal : Proposal
-    found : Fit
-        Of the sum as it was proposed.
-    """
+    """A sum of laws with another form in the place of its first, from where its own fit is."""
     first, *rest = proposal.formulas
     terms = tuple(Term(formula, kind_of(formula)) for formula in rest)
     known = {name: found.law.constants[name] for term in terms for name in term.formula.constants}

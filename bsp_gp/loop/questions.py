@@ -111,12 +111,7 @@ def _place(channels, row, k):
 class _PureError:
     """The whitened residual, (1 + B, T, C) with draws of noise, beside states and smooth functions.
 
-    Attributes
-    ----------
-    left : ndarray, shape (T, C)
-        Part of the variance that each row has left.
-    z : ndarray, shape (1 + B, T, C)
-        Of unit variance; 0 where nothing can be said.
+    `left` is the part of the variance that each row has left; `z` is 0 where nothing can be said.
     """
 
     def __init__(self, view, most):

@@ -324,16 +324,7 @@ def _model(row, done):
 
 
 def _judged(done, dataset, bounds, constancy, criteria):
-    """The likeliest cause of a round beside what nobody lists.
-
-    Returns
-    -------
-    Effect or None
-    HypothesisTable
-        That of the round, with what nobody lists in it.
-    Unknown or None
-        What is likelier than that cause alone.
-    """
+    """The likeliest cause of a round beside what nobody lists, that table, and what is likelier."""
     best = done.decision.best
     if best is None:
         return None, done.table, None
