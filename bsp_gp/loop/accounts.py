@@ -37,7 +37,6 @@ class Ratio:
 
     Attributes
     ----------
-    value, low, high : float
     method : str
         "resampled", "parametric" or "none".
     """

@@ -32,7 +32,6 @@ class Restated:
 
     Attributes
     ----------
-    code, text : str
     formula : Formula
     fit : Fit
         The final one.
@@ -61,7 +60,6 @@ class Pruned:
     displaced : tuple of str
         Declared terms in whose place an adopted one stands: the declared model asked for them, the
         final one does not.
-    n_fits : int
     is_complete : bool
         False where the time was up before everything was looked at.
     """

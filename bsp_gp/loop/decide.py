@@ -29,7 +29,6 @@ class Decision:
         Codes.
     best : Row or None
         The likeliest cause, whether it is adopted or not.
-    is_adopted : bool
     rivals : tuple of Row
         What is not told apart from it, the likeliest first.
     is_fact : bool

@@ -92,23 +92,19 @@ class Round:
 
     Attributes
     ----------
-    number : int
     entering : Fit
-    table : HypothesisTable
     decision : Decision
     fits : dict of int to Fit
         By the id of the row.
     hypotheses : dict of int to Hypothesis
     families : tuple of Family
     proposals : dict of int to Proposal
-    seconds : float
     left_out : tuple of str
         What there was no time for, of `LEFT_OUT`.
     details : dict
         What the proposer of the likeliest cause tells beyond its fit.
     detectable : float, m/s^2
         Least constant acceleration that would have been seen, see `View.detectable`.
-    noise_findings, varies_with : tuple
     hidden_bound, trace : object or None
         What else was asked of the fit that enters.
     aside : Aside or None

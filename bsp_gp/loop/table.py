@@ -32,7 +32,6 @@ class Row:
 
     Attributes
     ----------
-    id : int
     code : str
         What it adds, of `CAUSES`; "base" for the model that enters the round.
     text : str
@@ -46,13 +45,10 @@ class Row:
     log_evidence, log_prior : float, nats
     log_likelihood : float, nats
         Of the tracks, at the best constants and noise.
-    n_free : int
     kind : str
         What kind of thing it adds, of `KINDS`.
-    held_out : HeldOut
     p_value : float
         Selection counted.
-    probability : float
     key : tuple
         Identity of what it adds.
     ties : tuple of str
@@ -106,7 +102,6 @@ class HypothesisTable:
 
     Attributes
     ----------
-    rows : tuple of Row
     p_value : float
         Chance that noise alone shows as much in the best of everything that was tried.
     noise_p : float

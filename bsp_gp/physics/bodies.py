@@ -30,8 +30,6 @@ class Bodies:
     properties : dict of str to ndarray
         Column -> shape (S, N), or (S, N, d) for vectors; nan = unknown.
     shapes : Shapes of arrays (S, N)
-    n_dims : int
-    up : str or None
     scenes : tuple of str
         Their names; empty = of no matter.
     series : Series
@@ -211,7 +209,6 @@ class Batch:
     Attributes
     ----------
     scenes : tuple of Scene
-    bodies : Bodies
     times : ndarray, shape (T, S), padded with nan
     positions : ndarray, shape (T, S, N, d)
     velocities : ndarray, shape (T, S, N, d) or None

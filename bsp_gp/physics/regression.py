@@ -101,8 +101,6 @@ class Regression:
 
     Attributes
     ----------
-    batches : tuple of RegressionBatch
-    method : str
     sigma : ndarray, shape (d,)
         Standard deviation used: of positions, metres, or of accelerations (``derivative``).
     scenes : tuple of Scene

@@ -81,8 +81,6 @@ class Discovery:
         "inseparable".
     inseparable : tuple of (str, str)
         Rivals that no experiment within the means parts.
-    rounds : int
-    experiments, recordings : tuple
     dataset : Dataset or None
     report : LoopReport or None
         Of the last closing of the loop.

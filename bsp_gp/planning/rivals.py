@@ -31,10 +31,8 @@ class Rival:
 
     Attributes
     ----------
-    text : str
     law : ForceLaw
         With the constants that fit best.
-    probability : float
     names : tuple of str
         Constants that are uncertain.
     covariance : ndarray, shape (k, k)

@@ -107,8 +107,6 @@ class SearchResult:
         The best laws, lowest loss first, equal laws merged.
     front : tuple of Candidate
         Best per complexity, each better than every simpler one.
-    seconds : float
-    certificate : Certificate or None
     null_gains : tuple of float
         Greatest gain of any law on each simulated target, as a share of its total.
     """

@@ -37,7 +37,6 @@ class Outcome:
         Processor time of the search.
     n_to_best : int
         Scored laws when the best one was met.
-    seconds_to_best : float
     certificate : Certificate or None
     """
 
