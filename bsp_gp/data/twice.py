@@ -23,15 +23,6 @@ def by_date(rows):
     """Rows in the order of their times, where these are dates of several instruments.
 
     Those are far from zero, and errors are quoted; what begins anew at zero is another recording.
-
-    Parameters
-    ----------
-    rows : Rows
-
-    Returns
-    -------
-    rows : Rows
-    notes : tuple of str
     """
     span = np.ptp(rows.times) if len(rows.times) else 0.0
     if rows.sigma is None or not 0 < span < np.abs(rows.times).min():
@@ -104,11 +95,6 @@ def measures_at_once(rows):
     They must quote errors and agree within these: what does not may be of two bodies, and stays as
     it is. Of decimal years and Julian dates, which nobody films by, they need no errors where few
     share a time and lie within a part of the way.
-
-    Returns
-    -------
-    rows : Rows
-    notes : tuple of str
     """
     if rows.velocities is not None or len(rows.times) < 2:
         return rows, ()

@@ -110,10 +110,6 @@ def models_of(tracks, noise=None, near=0.0):
         Known error of a place, m.
     near : float, nats
         Of models that are so near to the likeliest it is asked how oddly their forecasts err.
-
-    Returns
-    -------
-    list of Langevin
     """
     with np.errstate(all="ignore"):  # numbers that no rate carries are refused
         return _models_of(_Problem(tracks, noise), near)

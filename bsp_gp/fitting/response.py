@@ -157,10 +157,6 @@ class ResponseRegression(Regression):
     def part(self, share):
         """Chains, spread evenly over all, no more than such a share of them.
 
-        Parameters
-        ----------
-        share : float
-
         Returns
         -------
         regression : ResponseRegression

@@ -203,10 +203,6 @@ def run_rounds(
         are to be found it is not asked, as long as these are not.
     instead : callable, optional
         ``instead(round, criteria)``: the round with another cause in the place of such a one.
-
-    Returns
-    -------
-    list of Round
     """
     run = _Run(dataset, proposers, criteria or Criteria(), bounds or {}, clock or Clock(),
                progress or (lambda text: None), looks, crew or Crew())  # fmt: skip

@@ -229,12 +229,7 @@ class Family:
 
 
 def both_of(first, second):
-    """Two causes as one; the second was proposed beside the first.
-
-    Parameters
-    ----------
-    first, second : Proposal
-    """
+    """Two causes as one; the second was proposed beside the first."""
     return replace(
         second, text=f"{first.text} + {second.text}", log_prior=first.log_prior + second.log_prior,
         gain=first.gain + second.gain, rank=first.rank + second.rank, ties=(),

@@ -62,10 +62,6 @@ def noise_findings(view, most=MOST_FUNCTIONS):
     most : int
         Functions of time for each channel. What forces do quickly is taken for noise beside few,
         and memories that are long for forces beside many.
-
-    Returns
-    -------
-    tuple of Finding
     """
     noise = view.fit.noise
     found = [

@@ -140,13 +140,7 @@ class HypothesisTable:
         return replace(self, rows=tuple(r for r in self.rows if best[r.key] is r))
 
     def beside(self, best, unknown, criteria):
-        """The same with what nobody lists beside one of its rows, and probabilities.
-
-        Parameters
-        ----------
-        best : Row
-        unknown : sequence of Unknown
-        """
+        """The same with what nobody lists beside one of its rows, and probabilities."""
         first, codes = max(row.id for row in self.rows) + 1, [one.code for one in unknown]
         rows = tuple(
             replace(
@@ -185,10 +179,6 @@ def held_out_gain(base, other):
     The scores follow in closed form from what each scene says of the constants (its compressed
     residual and derivatives): those of the others, and the residual of the scene under them, with
     its own initial states free.
-
-    Parameters
-    ----------
-    base, other : Fit
 
     Returns
     -------

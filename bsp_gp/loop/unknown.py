@@ -70,10 +70,6 @@ def unknowns(view, terms, gain):
         Of its law, those whose strength may vary.
     gain : float
         Chi-squared that was found: as large is a free force at the most.
-
-    Returns
-    -------
-    tuple of Unknown
     """
     # Under the pure error the tracks show more of what was found than the base, under its own.
     gain = max(gain, _shown(view, terms))

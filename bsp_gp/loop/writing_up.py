@@ -554,10 +554,6 @@ def overlays(accounts, begin):
     ----------
     begin : int
         Which of its fits is the declared one.
-
-    Returns
-    -------
-    tuple of Overlay
     """
     out = []
     rows = zip(accounts.scenes, accounts.rows[begin], accounts.rows[-1], strict=False)
@@ -575,10 +571,6 @@ def overlays(accounts, begin):
 
 def residual_table(first, last, dataset, split):
     """Residual accelerations under two laws, row by row.
-
-    Parameters
-    ----------
-    first, last : Fit
 
     Returns
     -------

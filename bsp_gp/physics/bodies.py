@@ -241,10 +241,6 @@ def stack(scenes, up=None, velocity="ignore"):
         Declared vertical axis of the data set.
     velocity : str
         "measured" keeps the scenes' velocities.
-
-    Returns
-    -------
-    list of Batch
     """
     groups = {}
     for scene in scenes:
@@ -331,12 +327,7 @@ def signed_of(dataset):
 
 
 def dataset_types(dataset):
-    """Types of the inputs that a data set supplies, for parsing laws and masking grammars.
-
-    Returns
-    -------
-    dict of str to Type
-    """
+    """Types of the inputs that a data set supplies, for parsing laws and masking grammars."""
     present = set(dataset.property_names)
     entities = [entity for scene in dataset.scenes for entity in scene.entities]
     if any(np.isfinite(entity.radius) for entity in entities):

@@ -88,10 +88,6 @@ def in_common(law):
 def rivals_of(report):
     """Rivals of the last round of a report that told any apart, probabilities adding up to one.
 
-    Parameters
-    ----------
-    report : LoopReport
-
     Returns
     -------
     tuple of Rival

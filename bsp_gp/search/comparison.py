@@ -125,10 +125,6 @@ def regressions(dataset, law, rng, method=None):
     method : str, optional
         As of `compare_searches`.
 
-    Returns
-    -------
-    train, test : Regression
-
     Raises
     ------
     SettingsError

@@ -82,12 +82,7 @@ class Inside:
         self.forms = [form for form in forms if to_text(form.term.formula) not in texts]
 
     def propose(self, view):
-        """The family of all forms that explain more than laws without inner constants.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all forms that explain more than laws without inner constants."""
         search = inner_search(view, self.grammar, view.moment_draws)
         # Where laws without inner constants leave no more than noise, few forms are tried; where no
         # force is declared, all are.

@@ -71,10 +71,6 @@ def family_of(name, view, libraries, has_waves=True):
     libraries : sequence of Library
     has_waves : bool
         Whether a push with a period may act beside them.
-
-    Returns
-    -------
-    Family
     """
     found, alone = [], None
     for library in libraries:

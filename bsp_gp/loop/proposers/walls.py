@@ -141,12 +141,7 @@ def is_foreseen(time, scene, k, fit):
 
 
 def walls_at(found, dataset):
-    """Jumps at every wall, by axis and side: bodies turn back where they come farthest.
-
-    Parameters
-    ----------
-    found : list of Jump
-    """
+    """Jumps at every wall, by axis and side: bodies turn back where they come farthest."""
     extent, places, groups = extent_of(dataset)[1], places_of(dataset), {}
     swept = np.nanmax(places, axis=0) - np.nanmin(places, axis=0)
     for jump in found:
