@@ -92,14 +92,11 @@ def subset(bodies, scenes):
     ----------
     scenes : ndarray of int, shape (S,)
     """
-    shapes = bodies.shapes
     return replace(
         bodies,
         names=tuple(bodies.names[s] for s in scenes),
         properties={name: values[scenes] for name, values in bodies.properties.items()},
-        shapes=Shapes(
-            *(getattr(shapes, name)[scenes] for name in ("code", "radius", "width", "height"))
-        ),
+        shapes=bodies.shapes[scenes],
         scenes=tuple(bodies.scenes[s] for s in scenes) if bodies.scenes else (),
     )
 
@@ -146,7 +143,6 @@ class _Inputs(Mapping):
         if known is None:
             raise LawError(f"unknown input {name!r}")
         return self._property(self.bodies.column(known[0]), known[1])
-
 
     def _series(self, name):
         """A measured input of the receivers, the axis of sources being added behind them."""

@@ -199,7 +199,6 @@ class Regression:
             )
         )
 
-
     def raw_residuals(self, law):
         """Observed minus predicted accelerations, m/s^2, one list entry per batch; nan = no row."""
         return [

@@ -154,8 +154,7 @@ def merge_equal(rescored):
             merged.append((candidate, fitted))
         else:
             merged[same] = (_absorb(merged[same][0], candidate), merged[same][1])
-    candidates = sorted((c for c, _ in merged), key=lambda c: c.loss)
-    return candidates
+    return sorted((c for c, _ in merged), key=lambda c: c.loss)
 
 
 def _absorb(kept, other):
