@@ -21,8 +21,6 @@ MOST = 8
 """Rivals at the most, the likeliest."""
 NEARLY = 0.05
 """By which a power may be off a whole one, or a half, that is tried in its place."""
-UNKNOWN = 0.1
-"""Part of a constant by which it may be off where no fit told its error."""
 
 
 @dataclass(frozen=True, eq=False)
