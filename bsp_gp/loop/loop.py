@@ -250,14 +250,19 @@ class _Run:
         """Laws that are asked first of any motion."""
         return next((p.common for p in self.proposers if hasattr(p, "common")), ())
 
+    def view_of(self, found, hypothesis, rng):
+        """What proposers see of a fit."""
+        near = continued(hypothesis, found)
+        view = View(found, near, self.dataset, rng, self.criteria, self.usual)
+        view.tick, view.seconds_left = self.clock.tick, self.clock.left
+        return view
+
     def round(self, number, hypothesis, found, rng):
         started = time.monotonic()
         turn = _Turn(self, found, hypothesis)
         asked, view = {}, None
         if found.shows_tracks:
-            view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria,
-                        self.usual)  # fmt: skip
-            view.tick, view.seconds_left = self.clock.tick, self.clock.left
+            view = self.view_of(found, hypothesis, rng)
             if not found.is_failed:
                 view.noise_findings = noise_findings(view)
             held = self.held(number, found, hypothesis, view)
@@ -537,15 +542,10 @@ class _Turn:
         self._tell_near(every, above, highest, off)
 
     def fit_held(self, queue):
-        """Fit rods and rails, and beside a drag what slows down too much to be followed without.
+        """Fit rods and rails, beside a drag what slows down too much; whether one leaves little.
 
         The others are not asked where one leaves noise alone: a piece of a circle is nearly a
         parabola.
-
-        Returns
-        -------
-        bool
-            Whether one of them leaves little.
         """
         leaves_little = False
         for k, (source, proposal) in enumerate(queue, 1):
@@ -576,12 +576,7 @@ class _Turn:
         for row, stream in zip(firsts, rng.spawn(len(firsts)), strict=True):
             if self.leaving_nothing and row not in ends:  # beside one of those before
                 break
-            found = self.fits[row.id]
-            near = continued(self.hypotheses[row.id], found)
-            view = View(
-                found, near, self.run.dataset, stream, self.run.criteria, self.run.usual
-            )
-            view.tick, view.seconds_left = self.run.clock.tick, self.run.clock.left
+            view = self.run.view_of(self.fits[row.id], self.hypotheses[row.id], stream)
             for proposer in able:
                 self.run.says(f"round {number}: {proposer.name} beside {row.text}")
                 self._fit_beside(row, proposer, view)

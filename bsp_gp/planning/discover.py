@@ -209,13 +209,7 @@ class _State:
         return [self.means.draw(rng, parts[k % 2]) for k in range(count)]
 
     def make(self, run, chosen, rng):
-        """Make experiments; in place of those that the apparatus refuses others by chance.
-
-        Raises
-        ------
-        Refused
-            If it refuses all.
-        """
+        """Make experiments; in place of those that the apparatus refuses others by chance."""
         queue, made, refused = list(chosen), 0, []
         while queue:
             experiment = queue.pop(0)
