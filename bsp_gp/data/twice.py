@@ -63,10 +63,7 @@ def without_copies(rows):
     is_copy = np.append(False, np.all(same, axis=0))
     if rows.velocities is not None or not is_copy.any():
         return rows, ()
-    lines = rows.lines[is_copy]
-    told = f"left out (line {listed(lines, LISTED)})"
-    note = f"{len(lines)} row(s) say time and place of the row before again: {told}"
-    return taken(rows, np.flatnonzero(~is_copy)), (CHECK + note,)
+    return _left_out(rows, is_copy, "say time and place of the row before again")
 
 
 def without_slips(rows):
@@ -83,10 +80,13 @@ def without_slips(rows):
     is_slip = (is_late & is_few & goes_back).to_numpy()
     if not is_slip.any():
         return rows, ()
-    lines = rows.lines[is_slip]
-    told = f"left out (line {listed(lines, LISTED)})"
-    note = f"{len(lines)} row(s) have a time that is not after those before: {told}"
-    return taken(rows, np.flatnonzero(~is_slip)), (CHECK + note,)
+    return _left_out(rows, is_slip, "have a time that is not after those before")
+
+
+def _left_out(rows, is_out, what):
+    lines = rows.lines[is_out]
+    note = f"{len(lines)} row(s) {what}: left out (line {listed(lines, LISTED)})"
+    return taken(rows, np.flatnonzero(~is_out)), (CHECK + note,)
 
 
 def measures_at_once(rows):
