@@ -172,15 +172,18 @@ def _add_close(commands):
         _LAW_HELP,
     )  # fmt: skip
     _data(parser)
-    _model(
-        parser, "--declare", required=True,
-        help_="a force of the declared model; repeat for more",
-    )  # fmt: skip
-    _descent(parser, "fit of the declared model")
-    _loop(parser)
+    _declared(parser)
     _rounds(parser)
     _unknowns(parser)
     _output(parser, "folder of the report (default: NAME-report here)")
+
+
+def _declared(parser):
+    """The model that is believed, and what may be missing beside it."""
+    help_ = "a force of the declared model; repeat for more"
+    _model(parser, "--declare", required=True, help_=help_)
+    _descent(parser, "fit of the declared model")
+    _loop(parser)
 
 
 def _add_sweep(commands):
@@ -194,12 +197,7 @@ def _add_sweep(commands):
         help="data sets, folders of them, globs, or a table with a column path",
     )  # fmt: skip
     _reading(parser)
-    _model(
-        parser, "--declare", required=True,
-        help_="a force of the declared model; repeat for more",
-    )  # fmt: skip
-    _descent(parser, "fit of the declared model")
-    _loop(parser)
+    _declared(parser)
     group = parser.add_argument_group("time")
     _time_limit(group, "that each data set may take, after which its row tells what was found")
     group.add_argument(

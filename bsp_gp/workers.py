@@ -174,15 +174,8 @@ class Work:
 class _Shared:
     """A value as it is now: what is done here meanwhile changes what lazy values remember.
 
-    Parameters
-    ----------
-    in_file : bool
-        Whether others read it from a file, as processes of this machine can; else it goes along
-        with every part.
-
-    Attributes
-    ----------
-    sent : _Sent
+    With `in_file` others read it from a file, as processes of this machine can; else it goes along
+    with every part.
     """
 
     def __init__(self, value, in_file):

@@ -23,11 +23,6 @@ def recordings_apart(rows, roster, has_scenes):
         is there though it is seen once.
     has_scenes : bool
         Whether the table says which rows are one scene; then it is believed.
-
-    Returns
-    -------
-    rows : Rows
-    notes : tuple of str
     """
     if has_scenes or len(rows.entity_names) < 2 or _has_own_scenes(roster):
         return rows, ()

@@ -43,7 +43,6 @@ class Declaration:
 
     Attributes
     ----------
-    name : str or None
     units : mapping of str to str
         Kind or column -> unit.
     angle_from, angle_turns : str or None

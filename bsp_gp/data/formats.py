@@ -295,15 +295,10 @@ def _without_dates(frame, names):
 
 
 def _require_even_rows(source, layout, head):
-    """Name the first row whose number of cells differs; a file that adds up is not scanned.
+    """Notes of short rows; names the first row whose number of cells differs.
 
-    Rows may lack cells at their ends that mean nothing to us. Of what is cut off in the middle of
-    a line the last cell that is there may be a part of a number.
-
-    Returns
-    -------
-    tuple of str
-        A note of rows that are short.
+    Rows may lack cells at their ends that mean nothing to us. Of what is cut off in the middle of a
+    line the last cell that is there may be a part of a number. A file that adds up is not scanned.
     """
     if layout.delimiter is None:
         return ()

@@ -354,10 +354,6 @@ def headings(cells, rename=None, *, is_track=True):
         A column of one run stands for that of every run, unless that of another is named too.
     is_track : bool
         Whether it is a table of positions, in which words may be guessed.
-
-    Returns
-    -------
-    tuple of Heading
     """
     cells = [str(cell).strip().strip('"').strip() for cell in cells]
     ignored = [k.strip() for k, v in (rename or {}).items() if is_ignored(v, cells)]

@@ -21,15 +21,6 @@ def without_meetings(rows):
 
     No force between the two has a direction there, which rounding alone has made; where places
     were not rounded, or bodies meet often, nothing is left out.
-
-    Parameters
-    ----------
-    rows : Rows
-
-    Returns
-    -------
-    rows : Rows
-    notes : tuple of str
     """
     if rows.may_meet or len(rows.entity_names) < 2:
         return rows, ()

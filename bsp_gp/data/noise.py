@@ -256,13 +256,9 @@ def _from_differences(tracks):
 def _grid_steps(tracks):
     """Step of the grid that the values of each axis lie on, 0.0 where there is none.
 
-    Exact motion under a constant force is on a grid too, one of its own making; what tells
-    rounding from it is that third differences of rounded tracks do not vanish. An axis along
-    which they happen to vanish is rounded if it lies on the grid of one that shows it.
-
-    Parameters
-    ----------
-    tracks : sequence over axes of lists of (times, positions)
+    Exact motion under a constant force is on a grid too, one of its own making; what tells rounding
+    from it is that third differences of rounded tracks do not vanish. An axis along which they
+    happen to vanish is rounded if it lies on the grid of one that shows it.
     """
     own = [_grid_step(axis) for axis in tracks]
     seen = [s for s, axis in zip(own, tracks, strict=True) if s and _is_rough(axis, s)]
@@ -318,18 +314,7 @@ def _is_rough(tracks, step):
 
 
 def _differences(times, x, order):
-    """Differences of `order`, scaled so that white noise keeps its variance.
-
-    Parameters
-    ----------
-    times : ndarray, shape (n,)
-    x : ndarray, shape (k, n)
-        Tracks at the same times.
-
-    Returns
-    -------
-    ndarray, shape (k, n - order)
-    """
+    """Differences of `order` of tracks (k, n), scaled so that white noise keeps its variance."""
     steps = np.diff(times)
     x = x - x.mean(axis=1, keepdims=True)
     if np.ptp(steps) <= 1e-6 * steps.mean():

@@ -169,16 +169,10 @@ def _is_alone(times, x, sigma, row):
 
 
 def _deviations(times, x, sigma, usual=None):
-    """Size of what points are off, in sigma; how far by what is usual, and by sigma alone.
+    """Size of what points (..., T, d) are off, in sigma; how far by what is usual, by sigma alone.
 
-    Parameters
-    ----------
-    times : ndarray, shape (T,), or None
-        None: even ones.
-    x : ndarray, shape (..., T, d)
-    sigma : ndarray, shape (d,)
-    usual : dict, optional
-        The usual deviation by set of neighbours; what is missing is found here and filled in.
+    Times of None are even; `usual`, the deviation by set of neighbours, is filled in where it
+    lacks.
     """
     shape = x.shape[:-1]
     n = shape[-1]

@@ -22,17 +22,7 @@ def _cells(line, delimiter):
 
 
 def _long(rows, time, owners, unit, path):
-    """Rows of markers side by side as one row per time and marker.
-
-    Parameters
-    ----------
-    time : callable
-        The time of a row, as a text.
-    owners : sequence of (int, str)
-        Column of X, and whose it is.
-    unit : str
-        Of lengths.
-    """
+    """Rows of markers side by side as one row per time and marker; owners: (column of X, name)."""
     names = [name for _, name in owners]
     if not owners or len(set(names)) < len(names):
         raise DataError(

@@ -27,10 +27,6 @@ def as_table(text, path):
     path : path-like
         Named in errors.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     DataError

@@ -33,7 +33,6 @@ class Roster:
         None stands for every scene; a row that names its scene wins over one that does not.
     units : dict of str to Unit
         Of the properties.
-    file : str or None
     """
 
     entities: tuple[Entity, ...] = ()

@@ -27,11 +27,6 @@ def held_still(scenes, free=()):
     free : collection of str
         Bodies that nothing holds: of the sky, with known masses. A heavy one hardly moves; that it
         does shows in the others' periods. One without any jitter is where places count from.
-
-    Returns
-    -------
-    scenes : tuple of Scene
-    notes : tuple of str
     """
     still = {}
     for scene in scenes:

@@ -86,12 +86,6 @@ class Rates:
 def summed(table, declaration, rates):
     """The table with places, row by row of its tracks, and its declaration.
 
-    Parameters
-    ----------
-    table : Table
-    declaration : Declaration
-    rates : Rates
-
     Raises
     ------
     DataError

@@ -23,15 +23,6 @@ def by_date(rows):
     """Rows in the order of their times, where these are dates of several instruments.
 
     Those are far from zero, and errors are quoted; what begins anew at zero is another recording.
-
-    Parameters
-    ----------
-    rows : Rows
-
-    Returns
-    -------
-    rows : Rows
-    notes : tuple of str
     """
     span = np.ptp(rows.times) if len(rows.times) else 0.0
     if rows.sigma is None or not 0 < span < np.abs(rows.times).min():
@@ -72,10 +63,7 @@ def without_copies(rows):
     is_copy = np.append(False, np.all(same, axis=0))
     if rows.velocities is not None or not is_copy.any():
         return rows, ()
-    lines = rows.lines[is_copy]
-    told = f"left out (line {listed(lines, LISTED)})"
-    note = f"{len(lines)} row(s) say time and place of the row before again: {told}"
-    return taken(rows, np.flatnonzero(~is_copy)), (CHECK + note,)
+    return _left_out(rows, is_copy, "say time and place of the row before again")
 
 
 def without_slips(rows):
@@ -92,10 +80,13 @@ def without_slips(rows):
     is_slip = (is_late & is_few & goes_back).to_numpy()
     if not is_slip.any():
         return rows, ()
-    lines = rows.lines[is_slip]
-    told = f"left out (line {listed(lines, LISTED)})"
-    note = f"{len(lines)} row(s) have a time that is not after those before: {told}"
-    return taken(rows, np.flatnonzero(~is_slip)), (CHECK + note,)
+    return _left_out(rows, is_slip, "have a time that is not after those before")
+
+
+def _left_out(rows, is_out, what):
+    lines = rows.lines[is_out]
+    note = f"{len(lines)} row(s) {what}: left out (line {listed(lines, LISTED)})"
+    return taken(rows, np.flatnonzero(~is_out)), (CHECK + note,)
 
 
 def measures_at_once(rows):
@@ -104,11 +95,6 @@ def measures_at_once(rows):
     They must quote errors and agree within these: what does not may be of two bodies, and stays as
     it is. Of decimal years and Julian dates, which nobody films by, they need no errors where few
     share a time and lie within a part of the way.
-
-    Returns
-    -------
-    rows : Rows
-    notes : tuple of str
     """
     if rows.velocities is not None or len(rows.times) < 2:
         return rows, ()

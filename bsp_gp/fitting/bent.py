@@ -53,19 +53,10 @@ def steadied(response, columns):
 
 
 class _Pieces:
-    """What is to be explained, by the piece of a track that it is of.
+    """What is to be explained, `target` (n,), by the piece (`number`, of `sizes`) that it is of.
 
-    Attributes
-    ----------
-    target : ndarray, shape (n,)
-    taken : ndarray, shape (n, k)
-        What constants of the law that is there take up.
-    counts : ndarray of bool, shape (n,)
-        Moments that tell anything.
-    number : ndarray of int
-        The pieces of these.
-    sizes : ndarray of int
-        Their moments.
+    `taken` (n, k) is what constants of the law that is there take up; `counts` are the moments that
+    tell anything.
     """
 
     def __init__(self, response):

@@ -30,10 +30,6 @@ def departures(times, places, levels):
         All seen.
     levels : ndarray, shape (a,), m
         Standard deviations of the noise.
-
-    Returns
-    -------
-    list of int
     """
     n = len(times)
     most = min(int(MOST_APART * n), n - n // 4 - LEAST_BETWEEN)

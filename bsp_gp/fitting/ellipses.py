@@ -34,11 +34,9 @@ class Ellipse:
     ----------
     period, closest : float, s
         And when it is closest to the focus.
-    eccentricity : float
     focus : tuple of float, m
     picture : tuple of two tuples of float, m
         What makes places of those in an orbit of half axis one, x to where it is closest.
-    chisqr : float
     """
 
     period: float

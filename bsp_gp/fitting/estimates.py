@@ -10,10 +10,8 @@ class ConstantEstimate:
 
     Attributes
     ----------
-    name : str
     entity : str
         The receiver that it belongs to; "" where it is one for all.
-    value, low, high : float
     unit : str
         "" if it cannot be said.
     state : str
@@ -44,8 +42,6 @@ class Errors:
         Root mean square position error of rollouts from fitted initial states, in `unit`.
     endpoint : float
         Median position error at the end-point row, in `unit`.
-    endpoint_mean : float
-    unit, acceleration_unit : str
     intervals : dict of str to (float, float)
         90 % intervals of the errors, nan where there is none.
     """

@@ -106,8 +106,6 @@ class Fit:
         The whitened residual compressed in the same way, and which scene each row is of.
     local_columns, shared_columns : ndarray, shapes (n, T, C) and (k, T, C)
         Changes of the prediction by the initial state of its chain and by the constants.
-    paper_steps : bool
-    seconds : float
     message : str
         Code of why the descent ended.
     lost : tuple of CutShort

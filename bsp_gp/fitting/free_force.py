@@ -133,18 +133,9 @@ class FreeForce:
 
 
 def _as_likely(turned, values):
-    """The likeliest variance of a free force, one for all pieces in what it shows best.
+    """The likeliest strength (W, 1) of a free force, one for all pieces in what it shows best.
 
-    Parameters
-    ----------
-    turned, values : ndarray, shape (W, m)
-        Moments of which a force of one shows `values`, squared.
-
-    Returns
-    -------
-    strength : ndarray, shape (W, 1)
-    height, least : float, nats
-        Log-evidence with it and without.
+    With it log-evidences with and without, nats. A force of one shows `values`, squared, (W, m).
     """
     scaled, top = in_units(values)
     heights = [_height(np.square(turned), 1 + s * scaled) for s in (0.0, *STRENGTHS)]

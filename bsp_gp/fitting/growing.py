@@ -234,17 +234,10 @@ def _begin_next(climb, values, nodes, places):
 
 
 def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
-    """Fit the rows between `places`; their nodes are changed in place.
+    """Fit the rows between `places`: values, chi-squared, and that of every chain.
 
-    With `is_held` the constants stay.
-
-    Returns
-    -------
-    values : ndarray, shape (k,)
-    chisqr : float
-    heights : dict of (int, int) to float
-        That of every chain, by the numbers of its group and of its own; inf of those that were not
-        followed.
+    Chains go by the numbers of their group and their own. Nodes are changed in place, constants
+    stay where `is_held`; inf stands for what is not followed.
     """
     run = climb.run
     begun = [

@@ -266,11 +266,6 @@ def initial_states(dataset, law, *, paper_steps=False):
 def with_states(found, dataset, scenes, *, deadline=None):
     """The law of a fit as it is, with the initial states of other scenes fitted.
 
-    Parameters
-    ----------
-    found : Fit
-    deadline : float, optional
-
     Returns
     -------
     Fit
@@ -327,11 +322,6 @@ def _tolerance(found, chains):
 
 def held_out_rows(found, dataset, scenes, *, deadline=None):
     """What the errors are made of, scene by scene.
-
-    Parameters
-    ----------
-    found : Fit
-    deadline : float, optional
 
     Returns
     -------

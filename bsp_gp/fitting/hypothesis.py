@@ -26,7 +26,6 @@ class Parameter:
 
     Attributes
     ----------
-    name : str
     entity : str
         The body that it belongs to; "" = one for all.
     unit : Unit or None
@@ -119,7 +118,6 @@ class Forces(Part):
 
     Attributes
     ----------
-    law : ForceLaw
     paper_steps : bool or None
         Whether the motion was made by the paper's symplectic Euler steps from row to row. None:
         on exact data both are tried, else the motion is continuous.

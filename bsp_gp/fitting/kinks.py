@@ -57,10 +57,6 @@ def kinks(times, places):
     times : ndarray, shape (T,)
     places : ndarray, shape (T, d)
         nan where not seen.
-
-    Returns
-    -------
-    list of Kink
     """
     seen = np.isfinite(places).all(axis=1)
     times, places = times[seen], places[seen]

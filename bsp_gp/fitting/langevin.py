@@ -110,10 +110,6 @@ def models_of(tracks, noise=None, near=0.0):
         Known error of a place, m.
     near : float, nats
         Of models that are so near to the likeliest it is asked how oddly their forecasts err.
-
-    Returns
-    -------
-    list of Langevin
     """
     with np.errstate(all="ignore"):  # numbers that no rate carries are refused
         return _models_of(_Problem(tracks, noise), near)
@@ -477,13 +473,10 @@ class _Part:
         self.kinds, self.number = np.unique(np.round(steps, 9), return_inverse=True)
 
     def density(self, model, speed, far, has_offset):
-        """Log-density of the rows, and how it depends on a push.
+        """Log-density of the rows, how it depends on a push; None where numbers do not carry it.
 
-        Returns
-        -------
-        (float, ndarray or None, float) or None
-            The density without a push; with one of size a the exponent gains
-            ``a right - a^2 square / 2`` on each axis. None where numbers do not carry it.
+        The density without a push; with one of size a the exponent gains ``a right - a^2 square /
+        2`` on each axis.
         """
         try:
             f, q, push = model.transitions(self.kinds)
@@ -558,15 +551,7 @@ class _Part:
         return float(height), gram[:n_dims, -1], float(gram[-1, -1])
 
     def forecast(self, model, push, speed, far):
-        """Errors of one-step forecasts, of unit size, (T, d): a Kalman filter.
-
-        Parameters
-        ----------
-        model : _Model
-        push : ndarray, shape (d,)
-        speed, far : float
-            Widths of the first state.
-        """
+        """Errors of one-step forecasts, of unit size, (T, d): a Kalman filter from such states."""
         f, q, by_push = model.transitions(self.kinds)
         n, n_dims = f.shape[1], self.places.shape[1]
         state, spread = np.zeros((n, n_dims)), _spread_of(model.first(speed, far))

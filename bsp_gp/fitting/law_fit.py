@@ -247,10 +247,6 @@ def fit_law(
 def training_part(dataset, scenes, said):
     """Scenes that are learned from, as fits take them.
 
-    Parameters
-    ----------
-    said : NoiseEstimate
-
     Returns
     -------
     train : Dataset
@@ -327,10 +323,6 @@ def widening(found):
     """Factor on standard errors: misfit beyond the noise counts against the constants.
 
     With as many independent rows as the autocorrelation of the residual leaves.
-
-    Parameters
-    ----------
-    found : Fit
     """
     dof = max(found.n_rows - found.n_free, 1)
     misfit = found.chisqr / dof
@@ -353,10 +345,6 @@ def constant_estimates(found, dataset, bounds=None):
     dataset : Dataset
         For its units.
     bounds : dict of str to (float, float), optional
-
-    Returns
-    -------
-    tuple of ConstantEstimate
     """
     from scipy.stats import t as student_t  # a slow import
 

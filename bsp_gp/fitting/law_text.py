@@ -73,10 +73,6 @@ def how_it_ended(found, constants, time_limit=None):
     constants : sequence of ConstantEstimate
     time_limit : float, optional
         Seconds that it had.
-
-    Returns
-    -------
-    str
     """
     if found.status == "nonfinite":
         return (
@@ -156,10 +152,6 @@ def doubts(found, widening, has_test):
         Factor on the standard errors.
     has_test : bool
         Whether anything is held out.
-
-    Returns
-    -------
-    list of str
     """
     notes = []
     if found.is_failed:

@@ -317,13 +317,7 @@ class _Descent:
         return 0 < np.sum(failed | self.held) <= _MOST_HELD * len(self.reins)
 
     def loosen(self, here, step):
-        """Let blocks whose own steps did what was foreseen make longer ones again.
-
-        Returns
-        -------
-        bool
-            Whether there are any.
-        """
+        """Let blocks whose own steps did what was foreseen make longer ones; whether any did."""
         if not (self.reins < 1.0).any():
             return False
         _, foreseen, found, promised = self.blocks(here, step)

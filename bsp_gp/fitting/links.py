@@ -98,14 +98,10 @@ def link(pieces, changes, white, nodes, n_state):
 
 
 def _states(run, changes, white, nodes, ends, n):
-    """What pieces tell of their first states, by the first state of all, forces, constants, 1.
+    """What pieces tell of their first states, (count n, n + V F + k + 1), and up to which, `count`.
 
-    Returns
-    -------
-    rows : ndarray, shape (count n, n + V F + k + 1)
-        The last column is what is left.
-    count : int
-        Pieces up to the one where changes have grown too much.
+    Columns are by the first state of all, forces, constants, and what is left; at `count` changes
+    have grown too much.
     """
     n_forces = changes.shape[0] * n // 2
     k = white.shape[2] - n_forces - n - 1

@@ -109,10 +109,6 @@ def needs(model, channels, residual, columns, local, probes):
     ----------
     model, channels, residual, columns, local, probes
         As `estimate_beside` takes them.
-
-    Returns
-    -------
-    bool
     """
     both = np.concatenate([local, probes])
     wide, plain = (

@@ -32,10 +32,8 @@ class NoiseParameter:
 
     Attributes
     ----------
-    name : str
     unit : str
         "m", "s" or "".
-    value, low, high : float
     is_free : bool
         Whether it is estimated.
     """
@@ -58,7 +56,6 @@ class NoiseFinding:
         "correlation", "scenes", "bodies", "speed" or "tails".
     gain, needed : float, nats
         Of restricted log-likelihood.
-    is_adopted : bool
     """
 
     part: str

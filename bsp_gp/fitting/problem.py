@@ -94,7 +94,6 @@ class Settings:
         Fall of chi-squared that is nothing, in variances of the noise; 0 if the noise is unknown.
     relative : float
         The same as a part of chi-squared.
-    max_linearised : int
     rank : float
         Singular values below this part of the largest (columns of unit length) determine nothing.
     last_steps : int
@@ -134,8 +133,6 @@ class Minimum:
         Of chi-squared, as a whole Gauss-Newton step foresees it.
     undetermined : ndarray of bool, shape (k,)
         Unknowns that the data do not determine, alone or in combination with others.
-    n_linearised : int
-    n_starts, n_agree : int
     held : ndarray of bool, shape (B,)
         Blocks that were left as they are, since no step of theirs, however short, does what the
         linearisation foresees.

@@ -157,10 +157,6 @@ class ResponseRegression(Regression):
     def part(self, share):
         """Chains, spread evenly over all, no more than such a share of them.
 
-        Parameters
-        ----------
-        share : float
-
         Returns
         -------
         regression : ResponseRegression
@@ -707,14 +703,8 @@ class _Group:
     def _weigh(self, left, count):
         """Find the level of the noise beside a free force, in that of the fit, and what that gains.
 
-        What a law leaves may have been taken for noise: its level is that of the pure error.
-
-        Parameters
-        ----------
-        left : ndarray, shape (W, m)
-            Moments of pieces, their errors those of what was measured.
-        count : int
-            How many of them forces reach.
+        What a law leaves, moments (W, m) of which forces reach `count`, may have been taken for
+        noise: its level is that of the pure error.
         """
         values, turned = self.free.seen(left)
         scaled, top = in_units(values)

@@ -143,13 +143,8 @@ def _held(dataset, law, ends):
 def _still_ends(scene, levels, settled=0.0):
     """How many rows stand still at the beginning and at the end of a scene of one moving body.
 
-    Of a body that has settled where forces balance only those count that are more than a part of
-    the rows of its motion.
-
-    Parameters
-    ----------
-    settled : float
-        That part; 0: none of them count.
+    Of a body that has settled where forces balance only those count that are more than `settled`, a
+    part of the rows of its motion; 0: none of them do.
     """
     if len(scene.dynamic) != 1 or scene.first is not None:
         return 0, 0

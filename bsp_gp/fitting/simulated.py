@@ -15,11 +15,6 @@ from bsp_gp.physics.force import COPY
 def simulated(found, dataset, scenes, count, rng):
     """Copies of scenes: the best tracks of a law through them, and noise as it was estimated.
 
-    Parameters
-    ----------
-    found : Fit
-    count : int
-
     Returns
     -------
     list of list of Scene, one list per copy
@@ -50,13 +45,7 @@ def simulated(found, dataset, scenes, count, rng):
 
 
 def draw_noise(model, channels, count, rng):
-    """Errors of a noise model, shape (count, T, C), metres; nan where nothing was seen.
-
-    Parameters
-    ----------
-    model : NoiseModel
-    count : int
-    """
+    """Errors of a noise model, shape (count, T, C), metres; nan where nothing was seen."""
     white, amplitude = model.parts(channels)
     shape = (count, *white.shape)
     if math.isfinite(model.degrees):

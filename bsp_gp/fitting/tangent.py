@@ -36,7 +36,6 @@ class Score:
     ----------
     statistic : float
         Chi-squared that they would gain.
-    rank : int
     amplitudes, errors : ndarray, shape (c,)
         inf errors where the data determine nothing.
     p_value : float

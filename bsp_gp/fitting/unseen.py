@@ -122,17 +122,7 @@ def shown(found, scenes):
 
 
 def as_driven(found, dataset):
-    """A fit and its data with bodies that no row shows held to the tracks on which it has them.
-
-    Parameters
-    ----------
-    found : Fit
-
-    Returns
-    -------
-    found : Fit
-    dataset : Dataset
-    """
+    """A fit and its data with bodies that no row shows held to the tracks on which it has them."""
     names = [body.entity for body in found.law.unseen]
     if not names:
         return found, dataset

@@ -227,15 +227,7 @@ def _earlier(values):
 
 @compiled
 def _variances(carried, fresh, part, rest):
-    """Variance of u before every row, shape (T, C).
-
-    Parameters
-    ----------
-    carried, fresh : ndarray, shape (T, C)
-        rho^2 and 1 - rho^2.
-    part, rest : ndarray, shape (T, C)
-        What of the variance of an error is correlated and what is white; they add up to one.
-    """
+    """Variance of u before every row, (T, C), by rho^2, 1 - rho^2, correlated and white parts."""
     before, after = np.empty(carried.shape), np.zeros(carried.shape[1])
     for t in range(carried.shape[0]):
         for c in range(carried.shape[1]):
@@ -247,14 +239,9 @@ def _variances(carried, fresh, part, rest):
 
 @compiled
 def _recur(values, seen, kept, gain, foreseen, scale, out):
-    """Values and what is foreseen of them, (v[t] + foreseen[t] m[t]) scale[t], for all channels.
+    """Values and what is foreseen of them, (v[t] + foreseen[t] m[t]) scale[t], (n, T, C), in `out`.
 
     The mean follows m[t] = kept[t] m[t - 1] + gain[t] v[t - 1]; rows that are not seen count as 0.
-
-    Parameters
-    ----------
-    values, out : ndarray, shape (n, T, C)
-    seen, kept, gain, foreseen, scale : ndarray, shape (T, C)
     """
     n_columns, n_rows, n_channels = values.shape
     for n in range(n_columns):

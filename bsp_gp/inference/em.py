@@ -93,7 +93,6 @@ class EmIteration:
     n_scored : int
         Laws scored by the M-step.
     posterior : Posterior
-    seconds : float
     """
 
     start: int
@@ -119,7 +118,6 @@ class EmResult:
         Of the latents given the law.
     joint : Posterior or None
         Of latents and constants together.
-    seconds : float
     """
 
     law: ForceLaw

@@ -62,14 +62,10 @@ class Identifiability:
 
     def text(self):
         """Sentences for a report; one that says so if everything is determined."""
-        lines = []
-        for direction in self.directions:
-            lines.append(f"{direction.text}; {direction.remedy}")
+        lines = [f"{direction.text}; {direction.remedy}" for direction in self.directions]
         for a, b, value in self.pairs:
             lines.append(f"{a} and {b} are correlated ({value:+.3f}): one fixes the other")
-        if not lines:
-            lines.append("every unknown is determined by the data beyond its prior")
-        return "\n".join(lines)
+        return "\n".join(lines) or "every unknown is determined by the data beyond its prior"
 
 
 def identifiability(profile, latents, posterior=None):
@@ -85,11 +81,9 @@ def identifiability(profile, latents, posterior=None):
         Of the latents, or of latents and constants, for correlations and gains.
     """
     k = len(latents)
-    constants = tuple(
-        n for n in profile.law.names if not hasattr(profile.law.constants[n], "items")
-    )
-    constants = constants[: len(profile.constants)]
-    names = (*latents.names, *constants)
+    law = profile.law
+    constants = [n for n in law.names if not hasattr(law.constants[n], "items")]
+    names = (*latents.names, *constants[: len(profile.constants)])
     directions = _directions(profile, latents, names, k)
     gain = np.full(len(names), np.nan)
     pairs = ()

@@ -24,9 +24,10 @@ class TrackBank(MotionBank):
 
     def __init__(self, paths, scenes, law, up, sigma):
         by_name = {path.scene: path for path in paths}
-        batches = []
-        for batch in (b for scene in scenes for b in stack([scene], up)):
-            batches.append(_batch_of(by_name[batch.scenes[0].name], batch.bodies, law))
+        batches = [
+            _batch_of(by_name[batch.scenes[0].name], batch.bodies, law)
+            for scene in scenes for batch in stack([scene], up)
+        ]  # fmt: skip
         super().__init__(Regression(tuple(batches), "track", sigma, tuple(scenes)))
         self.paths = [by_name[scene.name] for scene in scenes]
         # What the reference leaves, and what the law put into it.

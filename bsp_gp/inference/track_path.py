@@ -145,10 +145,6 @@ def paths_of(shooting, nodes, mesh, receivers):
     nodes : ndarray, shape (2, R, d, T, S)
     receivers : ndarray of int
         Places of the moving bodies among those of a scene.
-
-    Returns
-    -------
-    list of ScenePath
     """
     flow = shooting.flow
     ends, transitions = flow.run(nodes, mesh)

@@ -29,7 +29,6 @@ class TrackWorld:
     scenes : tuple of Scene
     sigma : ndarray, shape (d,), m
         nan: an axis that carries no information.
-    up : str or None
     is_estimated : bool
         Whether `sigma` is only where the estimate of the level begins.
     floor : float, m

@@ -6,7 +6,7 @@ import numpy as np
 
 from bsp_gp.errors import EvaluationError
 from bsp_gp.inference.misfit import misfit_of
-from bsp_gp.inference.posterior import effective_size
+from bsp_gp.inference.posterior import effective_size, weights_of
 from bsp_gp.inference.profile import FixedConstants, fit_profile
 from bsp_gp.inference.track_reference import find_reference
 from bsp_gp.inference.track_world import TrackWorld
@@ -151,10 +151,10 @@ def _blindness(one, reference, latents, constants):
     track = reference.profile
     names = [*latents.names, *constants]
     apart, wider = [], []
-    for name, a, b, sd_a, sd_b in zip(
-        names, *(_coordinates(latents, p) for p in (one, track)), _widths(one, latents),
-        _widths(track, latents), strict=True,
-    ):  # fmt: skip
+    fits = (one, track)
+    places = [[*latents.to_coordinate(p.values), *p.constants] for p in fits]
+    widths = [_widths(p, latents) for p in fits]
+    for name, a, b, sd_a, sd_b in zip(names, *places, *widths, strict=True):
         if abs(a - b) > BLIND * np.hypot(sd_a, sd_b) and np.isfinite(sd_b):
             apart.append(name)
         if sd_a > WIDER * sd_b:
@@ -170,10 +170,6 @@ def _blindness(one, reference, latents, constants):
             f"single steps from row to row see {', '.join(wider)} more than {WIDER:g} times less "
             "accurately than whole tracks"
         )
-
-
-def _coordinates(latents, profile):
-    return [*latents.to_coordinate(profile.values), *profile.constants]
 
 
 def _widths(profile, latents):
@@ -257,12 +253,11 @@ def reweighted(posterior, misfit, latents, *, rng):
     index = rng.choice(len(posterior.weights), size=N_WEIGHTED, p=posterior.weights)
     draws = posterior.draws[index]
     ratio = log_ratio(draws)
-    ratio = np.where(np.isfinite(ratio), ratio, -np.inf)
-    if not np.isfinite(ratio).any():
+    weights = weights_of(ratio)
+    if weights is None:
         note = f"tracks run away at all of {N_WEIGHTED} draws: the posterior could not be checked"
         return replace(posterior, converged=False, notes=(*posterior.notes, note))
-    weights = np.exp(ratio - ratio.max())
-    weights /= weights.sum()
+    ratio = np.where(np.isfinite(ratio), ratio, -np.inf)
     size = effective_size(weights)
     note = (
         f"tracks bend within the posterior (log-probabilities by {apart:.2g} "

@@ -37,7 +37,6 @@ class Ratio:
 
     Attributes
     ----------
-    value, low, high : float
     method : str
         "resampled", "parametric" or "none".
     """
@@ -220,13 +219,6 @@ def _carried(fields, copies):
     """Simulated errors and what the measured ones have beyond them on the mean: misfit.
 
     As much of it as is not to be expected from noise.
-
-    Parameters
-    ----------
-    fields : list of ndarray
-        Measured, per scene.
-    copies : list of list of ndarray
-        Simulated.
     """
     if not copies:
         return []

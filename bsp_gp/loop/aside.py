@@ -61,16 +61,7 @@ def _gaps(rounds):
 
 
 def settled(rounds):
-    """Rounds in which nothing is set aside: all laws together, or the cause that says all.
-
-    Parameters
-    ----------
-    rounds : list of Round
-
-    Returns
-    -------
-    list of Round
-    """
+    """Rounds in which nothing is set aside: all laws together, or the cause that says all."""
     at = next((k for k, done in enumerate(rounds) if done.aside is not None), None)
     if at is None:
         return rounds

@@ -32,7 +32,6 @@ class Restated:
 
     Attributes
     ----------
-    code, text : str
     formula : Formula
     fit : Fit
         The final one.
@@ -61,7 +60,6 @@ class Pruned:
     displaced : tuple of str
         Declared terms in whose place an adopted one stands: the declared model asked for them, the
         final one does not.
-    n_fits : int
     is_complete : bool
         False where the time was up before everything was looked at.
     """
@@ -267,15 +265,9 @@ def _without(hypothesis, done):
 
 
 def _of_one(hypothesis, done):
-    """A hypothesis with one number in place of those that a round gave to each owner.
+    """A hypothesis with one number in place of those that a round gave to each owner, term, text.
 
-    Returns
-    -------
-    hypothesis : Hypothesis or None
-        None where the number is there no more, or is a declared one's.
-    formula : Formula
-        The term, as it is then.
-    text : str
+    None where the number is there no more, or is a declared one's.
     """
     known = set(done.entering.law.constants)
     for k, part in enumerate(hypothesis.parts):

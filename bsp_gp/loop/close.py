@@ -283,6 +283,10 @@ def _in_parts(ready, begun, declared, rng, how, criteria):
     Where velocities jump, and not where that leaves nothing: then kicks are all that is missing,
     and are found as such. What is kicked at random is taken whole.
     """
+    def anew(dataset):
+        made = _Ready(dataset, declared, rng)
+        return made, made.begin(*how)
+
     whole = ready, begun
     if ready.dataset.is_of_sight or not lacks(begun, ready.noise.sigma):
         return whole
@@ -290,24 +294,17 @@ def _in_parts(ready, begun, declared, rng, how, criteria):
     # What nothing moves may rest for as long as it likes: no law says that it is held.
     dataset = without_still_ends(ready.dataset) if bounces or not ready.law.terms else None
     if dataset is not None and dataset is not ready.dataset:
-        ready = _Ready(dataset, declared, rng)
-        begun = ready.begin(*how)
-        whole = ready, begun
+        ready, begun = whole = anew(dataset)
     if bounces:
         flights = in_flights(ready.dataset) if bounce_oddly(ready.dataset) else None
-        if flights is None:
-            return whole
-        other = _Ready(flights, declared, rng)
-        return other, other.begin(*how)
+        return whole if flights is None else anew(flights)
     dataset = without_hands(ready.dataset, ready.law)
     if dataset is not None:
-        ready = _Ready(dataset, declared, rng)
-        begun = ready.begin(*how)
+        ready, begun = anew(dataset)
     still_lacks = dataset is None or lacks(begun, ready.noise.sigma)
     dataset = in_parts(ready.dataset, begun) if still_lacks else None
     if dataset is not None:
-        other = _Ready(dataset, declared, rng)
-        found = other.begin(*how)
+        other, found = anew(dataset)
         if lacks(found, other.noise.sigma):
             ready, begun = other, found
     if ready is not whole[0] and is_kicked(whole[0].dataset, whole[1], criteria):
@@ -517,11 +514,13 @@ def _written(
     scenes = () if is_late else ready.split.test
     accounts = Accounts(fits, ready.dataset, scenes, rng, n_copies, crew, foreseen)
     at = {id(f): k for k, (f, _) in enumerate(scored)}
-    doubt = writing_up.doubt_of_periods(rounds, pruned.removed)
-    doubt = doubt or writing_up.doubt_of_sources(rounds, pruned.removed)
-    doubt = doubt or writing_up.doubt_of_bounds(rounds, pruned.removed)
     bound = (asked.bound if asked else None) or rounds[-1].hidden_bound
-    doubt = doubt or writing_up.doubt_of_rest(first, last, rounds, bound)
+    doubt = (
+        writing_up.doubt_of_periods(rounds, pruned.removed)
+        or writing_up.doubt_of_sources(rounds, pruned.removed)
+        or writing_up.doubt_of_bounds(rounds, pruned.removed)
+        or writing_up.doubt_of_rest(first, last, rounds, bound)
+    )
     doubt = "many_causes" if writing_up.is_many(rounds, pruned.removed) else doubt
     may_ask = last is not first and not is_late and ready.has_more and not ready.is_swapped
     if may_ask and not doubt:

@@ -31,8 +31,6 @@ class Exponent:
 
     Attributes
     ----------
-    term : Formula
-    of : Formula
     stated, value, error : float
         As the law has it; as the data have it, to first order, with its standard error.
     low, high : float
@@ -67,8 +65,6 @@ class Varies:
 
     Attributes
     ----------
-    term : Formula
-    variable : str
     p_value : float
         All terms and variables counted.
     share : float
@@ -87,7 +83,6 @@ class Constancy:
 
     Attributes
     ----------
-    exponents : tuple of Exponent
     varies : tuple of Varies
         The most striking first, whatever its p-value.
     unknown : tuple of Unknown

@@ -29,7 +29,6 @@ class Decision:
         Codes.
     best : Row or None
         The likeliest cause, whether it is adopted or not.
-    is_adopted : bool
     rivals : tuple of Row
         What is not told apart from it, the likeliest first.
     is_fact : bool
@@ -45,16 +44,7 @@ class Decision:
 
 
 def decide(table, criteria=None):
-    """Decide from a table alone.
-
-    Parameters
-    ----------
-    table : HypothesisTable
-
-    Returns
-    -------
-    Decision
-    """
+    """Decide from a table alone."""
     criteria = criteria or Criteria()
     if not table.base.is_fit and not (table.p_value <= criteria.alpha and table.candidates):
         return Decision("cannot tell", "declared_model_not_fitted")

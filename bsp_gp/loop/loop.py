@@ -92,23 +92,19 @@ class Round:
 
     Attributes
     ----------
-    number : int
     entering : Fit
-    table : HypothesisTable
     decision : Decision
     fits : dict of int to Fit
         By the id of the row.
     hypotheses : dict of int to Hypothesis
     families : tuple of Family
     proposals : dict of int to Proposal
-    seconds : float
     left_out : tuple of str
         What there was no time for, of `LEFT_OUT`.
     details : dict
         What the proposer of the likeliest cause tells beyond its fit.
     detectable : float, m/s^2
         Least constant acceleration that would have been seen, see `View.detectable`.
-    noise_findings, varies_with : tuple
     hidden_bound, trace : object or None
         What else was asked of the fit that enters.
     aside : Aside or None
@@ -207,10 +203,6 @@ def run_rounds(
         are to be found it is not asked, as long as these are not.
     instead : callable, optional
         ``instead(round, criteria)``: the round with another cause in the place of such a one.
-
-    Returns
-    -------
-    list of Round
     """
     run = _Run(dataset, proposers, criteria or Criteria(), bounds or {}, clock or Clock(),
                progress or (lambda text: None), looks, crew or Crew())  # fmt: skip
@@ -258,14 +250,19 @@ class _Run:
         """Laws that are asked first of any motion."""
         return next((p.common for p in self.proposers if hasattr(p, "common")), ())
 
+    def view_of(self, found, hypothesis, rng):
+        """What proposers see of a fit."""
+        near = continued(hypothesis, found)
+        view = View(found, near, self.dataset, rng, self.criteria, self.usual)
+        view.tick, view.seconds_left = self.clock.tick, self.clock.left
+        return view
+
     def round(self, number, hypothesis, found, rng):
         started = time.monotonic()
         turn = _Turn(self, found, hypothesis)
         asked, view = {}, None
         if found.shows_tracks:
-            view = View(found, continued(hypothesis, found), self.dataset, rng, self.criteria,
-                        self.usual)  # fmt: skip
-            view.tick, view.seconds_left = self.clock.tick, self.clock.left
+            view = self.view_of(found, hypothesis, rng)
             if not found.is_failed:
                 view.noise_findings = noise_findings(view)
             held = self.held(number, found, hypothesis, view)
@@ -545,15 +542,10 @@ class _Turn:
         self._tell_near(every, above, highest, off)
 
     def fit_held(self, queue):
-        """Fit rods and rails, and beside a drag what slows down too much to be followed without.
+        """Fit rods and rails, beside a drag what slows down too much; whether one leaves little.
 
         The others are not asked where one leaves noise alone: a piece of a circle is nearly a
         parabola.
-
-        Returns
-        -------
-        bool
-            Whether one of them leaves little.
         """
         leaves_little = False
         for k, (source, proposal) in enumerate(queue, 1):
@@ -584,12 +576,7 @@ class _Turn:
         for row, stream in zip(firsts, rng.spawn(len(firsts)), strict=True):
             if self.leaving_nothing and row not in ends:  # beside one of those before
                 break
-            found = self.fits[row.id]
-            near = continued(self.hypotheses[row.id], found)
-            view = View(
-                found, near, self.run.dataset, stream, self.run.criteria, self.run.usual
-            )
-            view.tick, view.seconds_left = self.run.clock.tick, self.run.clock.left
+            view = self.run.view_of(self.fits[row.id], self.hypotheses[row.id], stream)
             for proposer in able:
                 self.run.says(f"round {number}: {proposer.name} beside {row.text}")
                 self._fit_beside(row, proposer, view)
@@ -850,18 +837,12 @@ class _Turn:
             self.spare[measure] = max(SPARE[measure] * proposal.promise, left)
 
     def _tell_near(self, every, above, most, off):
-        """Rows of what was scored only, in the terms of what was fitted of its family.
+        """Rows of what was scored only, `every`, in the terms of what was fitted of its family.
 
-        Parameters
-        ----------
-        every : list of (str, Proposal)
-        above : dict of str to dict of int to (float, float)
-            By family and rank, posteriors and likelihoods above what was promised.
-        most : dict of str to float
-            By family, the greatest promise of what was fitted: of what promises much more nothing
-            is foreseen, it was asked for and did not fit.
-        off : set of str
-            Families whose promises were kept by some and not by others: the likeliest are fitted.
+        `above` are posteriors and likelihoods above what was promised, by family and rank. Of what
+        promises much more than `most`, the greatest of what was fitted, nothing is foreseen: it was
+        asked for and did not fit. Of families in `off`, whose promises some kept and others not,
+        the likeliest are fitted.
         """
         criteria = self.run.criteria
         least = max(row.log_posterior for row in self.rows) - criteria.class_nats
@@ -1141,14 +1122,7 @@ def _without_weakest(proposal, found, criteria):
 
 
 def _led_by(form, proposal, found, criteria):
-    """A sum of laws with another form in the place of its first, from where its fit is.
-
-    Parameters
-    ----------
-    form, proposal : Proposal
-    found : Fit
-        Of the sum as it was proposed.
-    """
+    """A sum of laws with another form in the place of its first, from where its own fit is."""
     first, *rest = proposal.formulas
     terms = tuple(Term(formula, kind_of(formula)) for formula in rest)
     known = {name: found.law.constants[name] for term in terms for name in term.formula.constants}

@@ -38,7 +38,6 @@ class Missing:
     detectable : float
         Least constant acceleration, one for all bodies, that would have been seen with 95 %
         power on every axis, `unit`.
-    unit : str
     """
 
     statistic: float
@@ -109,26 +108,19 @@ class RoundRecord:
 
     Attributes
     ----------
-    number : int
-    missing : Missing
-    effect : Effect or None
     hypotheses : tuple of dict
         Rows of the table of the round.
     varies_with, noise_findings : tuple of dict
         ``{term, variable, p_value}``, ``{code, scene, entity, row}``.
     hidden_bound : dict or None
         ``{snr, force, unit, percent}``.
-    adopted : bool
     verdict, reason : str
         Codes.
     before, after, floor : Errors
         `before` is the model that enters; `after` is None where nothing was fitted beside it. One
         floor, that of the last law, serves all rounds.
-    ratio : Ratio
     held_out : tuple of dict
         ``{scene, before, after}`` of the position errors.
-    certificate : str
-    seconds : float
     trace : object or None
     """
 
@@ -164,12 +156,10 @@ class Overlay:
 
     Attributes
     ----------
-    scene, entity : str
     times : ndarray, shape (T,), s
     observed, declared, adopted : ndarray, shape (T, d), metres
         nan where there is none. `declared` and `adopted` start from the states fitted on the
         first `n_initial` rows.
-    n_initial : int
     """
 
     scene: str

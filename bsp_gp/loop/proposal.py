@@ -190,21 +190,18 @@ class Family:
 
     Attributes
     ----------
-    name : str
     proposals : tuple of Proposal
         The likeliest first.
     gain, rank : float, int
         The greatest gain of all that was tried, and its free numbers.
     null : ndarray, shape (B,)
         The greatest gains on simulated noise.
-    certificate : str
     is_continuum : bool
         Whether what was tried runs through a continuum.
     is_control : bool
         Whether all of it is fitted whatever it promises: what others must be better than.
     is_led_by_control : bool
         The same of its first proposal alone.
-    n_tried : int
     is_partial : bool
         Whether the time was up before all was tried.
     is_led : bool
@@ -232,12 +229,7 @@ class Family:
 
 
 def both_of(first, second):
-    """Two causes as one; the second was proposed beside the first.
-
-    Parameters
-    ----------
-    first, second : Proposal
-    """
+    """Two causes as one; the second was proposed beside the first."""
     return replace(
         second, text=f"{first.text} + {second.text}", log_prior=first.log_prior + second.log_prior,
         gain=first.gain + second.gain, rank=first.rank + second.rank, ties=(),

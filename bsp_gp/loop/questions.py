@@ -62,10 +62,6 @@ def noise_findings(view, most=MOST_FUNCTIONS):
     most : int
         Functions of time for each channel. What forces do quickly is taken for noise beside few,
         and memories that are long for forces beside many.
-
-    Returns
-    -------
-    tuple of Finding
     """
     noise = view.fit.noise
     found = [
@@ -111,12 +107,7 @@ def _place(channels, row, k):
 class _PureError:
     """The whitened residual, (1 + B, T, C) with draws of noise, beside states and smooth functions.
 
-    Attributes
-    ----------
-    left : ndarray, shape (T, C)
-        Part of the variance that each row has left.
-    z : ndarray, shape (1 + B, T, C)
-        Of unit variance; 0 where nothing can be said.
+    `left` is the part of the variance that each row has left; `z` is 0 where nothing can be said.
     """
 
     def __init__(self, view, most):

@@ -32,7 +32,6 @@ class Row:
 
     Attributes
     ----------
-    id : int
     code : str
         What it adds, of `CAUSES`; "base" for the model that enters the round.
     text : str
@@ -46,13 +45,10 @@ class Row:
     log_evidence, log_prior : float, nats
     log_likelihood : float, nats
         Of the tracks, at the best constants and noise.
-    n_free : int
     kind : str
         What kind of thing it adds, of `KINDS`.
-    held_out : HeldOut
     p_value : float
         Selection counted.
-    probability : float
     key : tuple
         Identity of what it adds.
     ties : tuple of str
@@ -106,7 +102,6 @@ class HypothesisTable:
 
     Attributes
     ----------
-    rows : tuple of Row
     p_value : float
         Chance that noise alone shows as much in the best of everything that was tried.
     noise_p : float
@@ -145,13 +140,7 @@ class HypothesisTable:
         return replace(self, rows=tuple(r for r in self.rows if best[r.key] is r))
 
     def beside(self, best, unknown, criteria):
-        """The same with what nobody lists beside one of its rows, and probabilities.
-
-        Parameters
-        ----------
-        best : Row
-        unknown : sequence of Unknown
-        """
+        """The same with what nobody lists beside one of its rows, and probabilities."""
         first, codes = max(row.id for row in self.rows) + 1, [one.code for one in unknown]
         rows = tuple(
             replace(
@@ -190,10 +179,6 @@ def held_out_gain(base, other):
     The scores follow in closed form from what each scene says of the constants (its compressed
     residual and derivatives): those of the others, and the residual of the scene under them, with
     its own initial states free.
-
-    Parameters
-    ----------
-    base, other : Fit
 
     Returns
     -------

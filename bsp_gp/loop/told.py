@@ -224,17 +224,7 @@ def _read(text, base):
 
 
 def fit_retold(found, units):
-    """A fitted law as people read it, in the units of the data.
-
-    Parameters
-    ----------
-    found : LawFit
-    units : UnitSystem
-
-    Returns
-    -------
-    LawFit
-    """
+    """A fitted law as people read it, in the units of the data."""
     told = Told(units.declared, units.symbols)
     is_open = bool(told.own) and any(not constant.unit for constant in found.constants)
     return replace(
@@ -245,16 +235,7 @@ def fit_retold(found, units):
 
 
 def factors_of(law, units):
-    """What one unit of a constant of a law, as it is told, is in SI, by name.
-
-    Parameters
-    ----------
-    units : UnitSystem
-
-    Returns
-    -------
-    dict of str to float
-    """
+    """What one unit of a constant of a law, as it is told, is in SI, by name."""
     told = Told(units.declared, units.symbols)
     found = {name: unit for term in law.terms for name, unit in constant_units(term).items()}
     return {name: 1.0 / told.unit(units.text(unit))[0] for name, unit in found.items()}

@@ -30,7 +30,6 @@ class Channel:
     variable : str
         "", "time", "x", "y", "z", "speed", "distance", "body", "scene", or a column that was
         logged.
-    n_functions, rank : int
     statistic, p_value : float
         Of its score test alone.
     share : float

@@ -70,10 +70,6 @@ def unknowns(view, terms, gain):
         Of its law, those whose strength may vary.
     gain : float
         Chi-squared that was found: as large is a free force at the most.
-
-    Returns
-    -------
-    tuple of Unknown
     """
     # Under the pure error the tracks show more of what was found than the base, under its own.
     gain = max(gain, _shown(view, terms))
@@ -129,17 +125,10 @@ def _variations(view, term):
 
 
 def _log_odds(view, columns, gain=None):
-    """Log-evidence of a Gaussian process with these columns beside none, nats.
+    """Log-evidence of a Gaussian process with these columns (n, F) beside none, nats.
 
     Of amplitudes from `Criteria.constant_within`, and the greatest of those below. None and zero
-    where the columns would show nothing that the constants do not.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (n, F)
-        At the greatest amplitude.
-    gain : float, optional
-        Sum of the squares that they then have beside the constants.
+    where the columns would show nothing (`gain`) that the constants do not.
     """
     if not np.isfinite(columns).all():
         return None, 0.0

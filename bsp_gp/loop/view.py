@@ -360,6 +360,19 @@ class View:
         q = self._moments[1]
         return columns - q @ (q.T @ columns)
 
+    def gain_of(self, columns):
+        """What columns (n, c) explain together."""
+        basis = orthonormal(columns, len(columns))
+        return float(np.square(basis.T @ self.left).sum())
+
+    def fitted_to(self, columns):
+        """Amounts of columns (n, c) that explain most together, the columns' sizes, the gain."""
+        size = np.linalg.norm(columns, axis=0)
+        size = np.where(size > 0, size, 1.0)
+        amounts = np.linalg.lstsq(columns / size, self.left, rcond=1e-10)[0] / size
+        gain = self.left @ self.left - np.square(self.left - columns @ amounts).sum()
+        return amounts, size, float(gain)
+
     def part(self, share):
         """The moments of no more than such a share of all chains.
 

@@ -140,7 +140,7 @@ def is_many(rounds, removed):
 
 
 def _kept(rounds, removed):
-    """Rounds that adopt something which was not taken back."""
+    """Rounds that adopt something which was not taken back; of those of `removed` it was."""
     return [r for r in rounds if r.decision.is_adopted and r.number not in removed]
 
 
@@ -166,11 +166,6 @@ def doubt_of_sources(rounds, removed):
 
     One whose strength may be nothing may be anywhere: what it does, a push that changes a little
     from place to place, something else does as well.
-
-    Parameters
-    ----------
-    removed : collection of int
-        Numbers of rounds whose causes were taken back.
     """
     for r in _kept(rounds, removed):
         best = r.decision.best
@@ -211,11 +206,6 @@ def doubt_of_bounds(rounds, removed):
 
     A constant inside it that ends at its bound, a threshold at the end of the tracks, says that
     another form is asked for.
-
-    Parameters
-    ----------
-    removed : collection of int
-        Numbers of rounds whose causes were taken back.
     """
     for r in _kept(rounds, removed):
         best = r.decision.best
@@ -233,13 +223,7 @@ def doubt_of_bounds(rounds, removed):
 
 
 def doubt_of_periods(rounds, removed):
-    """Why a push with a period that rounds have added is none for sure; "" where nothing says so.
-
-    Parameters
-    ----------
-    removed : collection of int
-        Numbers of rounds whose causes were taken back.
-    """
+    """Why a push with a period that rounds added is none for sure; "" where nothing says so."""
     for r in _kept(rounds, removed):
         found = r.fits[r.decision.best.id]
         for formula in _new(found, r.entering):
@@ -324,16 +308,7 @@ def _model(row, done):
 
 
 def _judged(done, dataset, bounds, constancy, criteria):
-    """The likeliest cause of a round beside what nobody lists.
-
-    Returns
-    -------
-    Effect or None
-    HypothesisTable
-        That of the round, with what nobody lists in it.
-    Unknown or None
-        What is likelier than that cause alone.
-    """
+    """The likeliest cause of a round beside what nobody lists, that table, and what is likelier."""
     best = done.decision.best
     if best is None:
         return None, done.table, None
@@ -563,10 +538,6 @@ def overlays(accounts, begin):
     ----------
     begin : int
         Which of its fits is the declared one.
-
-    Returns
-    -------
-    tuple of Overlay
     """
     out = []
     rows = zip(accounts.scenes, accounts.rows[begin], accounts.rows[-1], strict=False)
@@ -584,10 +555,6 @@ def overlays(accounts, begin):
 
 def residual_table(first, last, dataset, split):
     """Residual accelerations under two laws, row by row.
-
-    Parameters
-    ----------
-    first, last : Fit
 
     Returns
     -------

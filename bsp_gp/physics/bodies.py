@@ -30,8 +30,6 @@ class Bodies:
     properties : dict of str to ndarray
         Column -> shape (S, N), or (S, N, d) for vectors; nan = unknown.
     shapes : Shapes of arrays (S, N)
-    n_dims : int
-    up : str or None
     scenes : tuple of str
         Their names; empty = of no matter.
     series : Series
@@ -94,14 +92,11 @@ def subset(bodies, scenes):
     ----------
     scenes : ndarray of int, shape (S,)
     """
-    shapes = bodies.shapes
     return replace(
         bodies,
         names=tuple(bodies.names[s] for s in scenes),
         properties={name: values[scenes] for name, values in bodies.properties.items()},
-        shapes=Shapes(
-            *(getattr(shapes, name)[scenes] for name in ("code", "radius", "width", "height"))
-        ),
+        shapes=bodies.shapes[scenes],
         scenes=tuple(bodies.scenes[s] for s in scenes) if bodies.scenes else (),
     )
 
@@ -148,7 +143,6 @@ class _Inputs(Mapping):
         if known is None:
             raise LawError(f"unknown input {name!r}")
         return self._property(self.bodies.column(known[0]), known[1])
-
 
     def _series(self, name):
         """A measured input of the receivers, the axis of sources being added behind them."""
@@ -211,7 +205,6 @@ class Batch:
     Attributes
     ----------
     scenes : tuple of Scene
-    bodies : Bodies
     times : ndarray, shape (T, S), padded with nan
     positions : ndarray, shape (T, S, N, d)
     velocities : ndarray, shape (T, S, N, d) or None
@@ -244,10 +237,6 @@ def stack(scenes, up=None, velocity="ignore"):
         Declared vertical axis of the data set.
     velocity : str
         "measured" keeps the scenes' velocities.
-
-    Returns
-    -------
-    list of Batch
     """
     groups = {}
     for scene in scenes:
@@ -334,12 +323,7 @@ def signed_of(dataset):
 
 
 def dataset_types(dataset):
-    """Types of the inputs that a data set supplies, for parsing laws and masking grammars.
-
-    Returns
-    -------
-    dict of str to Type
-    """
+    """Types of the inputs that a data set supplies, for parsing laws and masking grammars."""
     present = set(dataset.property_names)
     entities = [entity for scene in dataset.scenes for entity in scene.entities]
     if any(np.isfinite(entity.radius) for entity in entities):

@@ -122,7 +122,6 @@ class Unseen:
 
     Attributes
     ----------
-    entity : str
     places, speeds : tuple of str
         Names of the coordinates of its place and its velocity.
     strength : mapping of str to Unit

@@ -101,8 +101,6 @@ class Regression:
 
     Attributes
     ----------
-    batches : tuple of RegressionBatch
-    method : str
     sigma : ndarray, shape (d,)
         Standard deviation used: of positions, metres, or of accelerations (``derivative``).
     scenes : tuple of Scene
@@ -200,7 +198,6 @@ class Regression:
                 for name in row
             )
         )
-
 
     def raw_residuals(self, law):
         """Observed minus predicted accelerations, m/s^2, one list entry per batch; nan = no row."""

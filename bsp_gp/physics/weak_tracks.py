@@ -59,10 +59,6 @@ def runs_of(times, seen, usable, limit, is_measured=False):
         Longest step between two rows that is bridged, s.
     is_measured : bool
         Whether velocities are measured; the law is then needed at the ends of a run as well.
-
-    Returns
-    -------
-    list of Run
     """
     out = []
     rows = np.flatnonzero(seen)

@@ -81,8 +81,6 @@ class Discovery:
         "inseparable".
     inseparable : tuple of (str, str)
         Rivals that no experiment within the means parts.
-    rounds : int
-    experiments, recordings : tuple
     dataset : Dataset or None
     report : LoopReport or None
         Of the last closing of the loop.
@@ -211,13 +209,7 @@ class _State:
         return [self.means.draw(rng, parts[k % 2]) for k in range(count)]
 
     def make(self, run, chosen, rng):
-        """Make experiments; in place of those that the apparatus refuses others by chance.
-
-        Raises
-        ------
-        Refused
-            If it refuses all.
-        """
+        """Make experiments; in place of those that the apparatus refuses others by chance."""
         queue, made, refused = list(chosen), 0, []
         while queue:
             experiment = queue.pop(0)

@@ -195,11 +195,7 @@ def foreseen(rivals, draws, experiments, means, rng, up=None):
 def _n_foreseeable(track, free, scene):
     """Rows behind the first that fits can use: which the likeliest law foresees, or are calm.
 
-    Parameters
-    ----------
-    track : ndarray, shape (D, T, R, d)
-        Moving bodies under draws of the constants, the best first.
-    free : ndarray, shape (T, R, d)
+    `track` has moving bodies under draws of the constants, (D, T, R, d), the best first.
     """
     still = np.delete(scene.positions[:1], scene.dynamic, axis=1)
     bodies = np.concatenate([track[0], np.repeat(still, track.shape[1], axis=0)], axis=1)

@@ -21,8 +21,6 @@ MOST = 8
 """Rivals at the most, the likeliest."""
 NEARLY = 0.05
 """By which a power may be off a whole one, or a half, that is tried in its place."""
-UNKNOWN = 0.1
-"""Part of a constant by which it may be off where no fit told its error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +29,8 @@ class Rival:
 
     Attributes
     ----------
-    text : str
     law : ForceLaw
         With the constants that fit best.
-    probability : float
     names : tuple of str
         Constants that are uncertain.
     covariance : ndarray, shape (k, k)
@@ -89,10 +85,6 @@ def in_common(law):
 
 def rivals_of(report):
     """Rivals of the last round of a report that told any apart, probabilities adding up to one.
-
-    Parameters
-    ----------
-    report : LoopReport
 
     Returns
     -------

@@ -257,10 +257,6 @@ def along_one_line(phrases, values):
         As `describe` has them.
     values : sequence of float or None
         Their strengths.
-
-    Returns
-    -------
-    tuple of str
     """
     found: dict = {}
     for phrase, value in zip(phrases, values, strict=True):

@@ -55,12 +55,7 @@ _COUNTS = {2: "two", 3: "three", 4: "four", 5: "five"}
 
 
 def page_of(report):
-    """A report as pages read it.
-
-    Returns
-    -------
-    SimpleNamespace
-    """
+    """A report as pages read it."""
     if isinstance(report, SimpleNamespace):
         return report
     rounds = [_round(done, report) for done in report.rounds]

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-WIDTH = 100
-
 
 def plan_text(plan):
     """A plan as text: rivals, the best experiments with bits and power, what cannot be parted."""

@@ -20,12 +20,7 @@ MAX_CHANNELS = 10
 
 
 def trace_sentence(trace):
-    """Where the residual force of a round is, in a sentence; "" where it was not traced.
-
-    Parameters
-    ----------
-    trace : Trace or None
-    """
+    """Where the residual force of a round is, in a sentence; "" where it was not traced."""
     if trace is None or not trace.channels:
         return ""
     best = trace.channels[0]

@@ -191,7 +191,7 @@ class Banks:
                 entry = self._build(rule, children)
                 if entry is None:
                     continue
-                key = self._key(entry.value)
+                key = fingerprints([entry.value], self._weights, merge_scale=False)[0]
                 if key in seen:
                     _remember(seen[key], entry)
                 elif key not in found:
@@ -243,9 +243,6 @@ class Banks:
             self.n_failed += 1
             return None
         return value
-
-    def _key(self, value):
-        return fingerprints([value], self._weights, merge_scale=False)[0]
 
 
 def _remember(lead, other):

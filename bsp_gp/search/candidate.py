@@ -107,8 +107,6 @@ class SearchResult:
         The best laws, lowest loss first, equal laws merged.
     front : tuple of Candidate
         Best per complexity, each better than every simpler one.
-    seconds : float
-    certificate : Certificate or None
     null_gains : tuple of float
         Greatest gain of any law on each simulated target, as a share of its total.
     """
@@ -156,8 +154,7 @@ def merge_equal(rescored):
             merged.append((candidate, fitted))
         else:
             merged[same] = (_absorb(merged[same][0], candidate), merged[same][1])
-    candidates = sorted((c for c, _ in merged), key=lambda c: c.loss)
-    return candidates
+    return sorted((c for c, _ in merged), key=lambda c: c.loss)
 
 
 def _absorb(kept, other):

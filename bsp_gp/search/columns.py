@@ -61,11 +61,8 @@ class Columns:
 
     def _some(self, coefficients, vector):
         if not self.is_white:
-            columns = self.spread(coefficients, vector)
-            raw = np.einsum("kn,kn->k", columns, columns)
-            columns = self._less(columns)
-            sizes = np.einsum("kn,kn->k", columns, columns)
-            return columns @ self.y, np.where(sizes > COLLINEAR * raw, sizes, 0.0)
+            columns, sizes = self._projected(coefficients, vector)
+            return columns @ self.y, sizes
         active, receivers, firsts, weighted = self._active(vector)
         if not len(active):
             return np.zeros(len(coefficients)), np.zeros(len(coefficients))
@@ -88,11 +85,16 @@ class Columns:
 
     def columns(self, coefficients, vector):
         """Whitened accelerations (k, n), free terms projected out; 0 for one of the free terms."""
-        columns = self.spread(np.array(coefficients), vector)
+        columns, sizes = self._projected(np.array(coefficients), vector)
+        return np.where((sizes > 0)[:, None], columns, 0.0)
+
+    def _projected(self, coefficients, vector):
+        """Columns less what the free terms explain, and squared sizes; 0 where that is all."""
+        columns = self.spread(coefficients, vector)
         raw = np.einsum("kn,kn->k", columns, columns)
         columns = self._less(columns)
         sizes = np.einsum("kn,kn->k", columns, columns)
-        return np.where((sizes > COLLINEAR * raw)[:, None], columns, 0.0)
+        return columns, np.where(sizes > COLLINEAR * raw, sizes, 0.0)
 
     def _active(self, vector):
         """Rows on which a direction acts, their receivers, and where each receiver begins."""

@@ -37,7 +37,6 @@ class Outcome:
         Processor time of the search.
     n_to_best : int
         Scored laws when the best one was met.
-    seconds_to_best : float
     certificate : Certificate or None
     """
 
@@ -60,10 +59,6 @@ def certified(objective, *, missing_inputs=(), progress=None):
     ----------
     objective : Objective
         Its target, free terms and criterion are used; nothing is scored in it.
-
-    Returns
-    -------
-    Outcome
     """
     started = time.process_time()
     result = search_sums(
@@ -97,10 +92,6 @@ def run_one(objective, name, strategy, seed, budget, *, rng, is_done=None):
     is_done : callable, optional
         ``is_done(expression, score) -> bool``, asked whenever there is a new best law; True ends
         the search.
-
-    Returns
-    -------
-    Outcome
     """
     objective = objective.fresh()
     started = time.process_time()

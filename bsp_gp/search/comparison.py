@@ -125,10 +125,6 @@ def regressions(dataset, law, rng, method=None):
     method : str, optional
         As of `compare_searches`.
 
-    Returns
-    -------
-    train, test : Regression
-
     Raises
     ------
     SettingsError
@@ -160,13 +156,7 @@ def regressions(dataset, law, rng, method=None):
 
 
 def _sayable_kind(dataset, grammar, kind):
-    """The kind to search; pair laws need another body to act.
-
-    Raises
-    ------
-    SettingsError
-        If pair laws are asked for, or are all that the grammar has, and every scene has one body.
-    """
+    """The kind to search; pair laws need another body to act."""
     kinds = tuple(grammar.start)
     is_alone = all(len(scene.entities) < 2 for scene in dataset.scenes)
     if kind is not None and kind not in kinds:

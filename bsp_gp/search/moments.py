@@ -69,18 +69,8 @@ def _patterns(left):
     """Patterns in which left factors weigh the sources of a receiver, where these are fewer.
 
     Sources of equal properties are one, and a factor of the receiver's own weighs all alike: of
-    many sources few sums have to be seen.
-
-    Parameters
-    ----------
-    left : ndarray, shape (n_left, S, R, J)
-
-    Returns
-    -------
-    weights : ndarray, shape (S, R, K, J), or None
-        None where every source is its own pattern.
-    groups : ndarray, shape (n_left, S, R K)
-        What each factor makes of every pattern.
+    many sources few sums have to be seen. Weights are (S, R, K, J), None where every source is its
+    own pattern; groups, (n_left, S, R K), are what each factor makes of every pattern.
     """
     n_left, s, r, j = left.shape
     if j > 1:

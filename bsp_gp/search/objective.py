@@ -258,13 +258,7 @@ class Objective:
             self._settle(((a, b),), loss, 1)
 
     def _score_sums(self, laws):
-        """Laws of several terms: small normal equations, many at a time.
-
-        Parameters
-        ----------
-        laws : list of tuple of (int, int)
-            All of one length.
-        """
+        """Laws of several terms, all of as many: small normal equations, many at a time."""
         step = max(1, BATCH_BYTES // (8 * len(self.y) * len(laws[0])))
         for start in range(0, len(laws), step):
             part = laws[start : start + step]

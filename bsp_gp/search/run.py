@@ -37,7 +37,6 @@ class Budget:
         Reproducible.
     seconds : float or None
         Not reproducible by itself: the result records its counts so that it can be replayed.
-    n_steps : int or None
     n_idle : int
         Steps in a row without a law not seen before, after which the grammar counts as
         exhausted.

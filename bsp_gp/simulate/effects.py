@@ -97,8 +97,6 @@ class Effect:
         New exponent of the preset's pair force.
     restitution : float or None
         New restitution of contacts.
-    body : ExtraBody or None
-    new_property : NewProperty or None
     """
 
     name: str

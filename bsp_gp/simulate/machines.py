@@ -44,7 +44,6 @@ class Machine:
         ``shown(states, numbers)``, columns that are measured.
     logged : callable
         ``logged(rng, span, numbers)``, inputs as functions of the time.
-    seconds, dt, noise : float
     """
 
     numbers: dict

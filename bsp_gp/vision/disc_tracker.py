@@ -106,12 +106,7 @@ class DiscTracker:
         return int(values[np.argmax(times + 1e-6 * values)])
 
     def run(self, first=0, last=None):
-        """Follow all discs from the best sample frame to both ends of ``first..last``.
-
-        Returns
-        -------
-        Track
-        """
+        """Follow all discs from the best sample frame to both ends of ``first..last``."""
         last = self.video.n_frames - 1 if last is None else last
         anchor = self._anchor(first, last)
         bodies = self._start(anchor)

@@ -285,10 +285,6 @@ def calibrate_kind(images, colour, radius=None, tolerance=90.0, behind=None):
     behind : ndarray, optional
         Background image; used if the disc has no outline.
 
-    Returns
-    -------
-    DiscKind
-
     Raises
     ------
     DataError

@@ -103,10 +103,6 @@ def mats(image, seen, colours, inside=None, tolerance=TOLERANCE):
     colours : mapping of str to ndarray, shape (3,)
     inside : Region, optional
         Only this part of the picture.
-
-    Returns
-    -------
-    list of Region
     """
     masks = {
         name: cv2.morphologyEx(

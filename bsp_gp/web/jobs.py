@@ -83,10 +83,6 @@ class Jobs:
             The command and its options.
         out : path-like, optional
             Where the result goes; by default the folder ``report`` of the job.
-
-        Returns
-        -------
-        Job
         """
         key = secrets.token_hex(8)
         folder = self.folder / key

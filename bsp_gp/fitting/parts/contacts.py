@@ -22,7 +22,6 @@ class Kick(Forces):
 
     Attributes
     ----------
-    scene, entity : str
     mark : str
         Property that is 1 of this body in this scene, and that no other has.
     instant : str

@@ -18,7 +18,6 @@ class Edit(Part):
 
     Attributes
     ----------
-    scene : str
     row : int
         The first that is changed.
     n_left_out : int

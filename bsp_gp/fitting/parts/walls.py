@@ -33,7 +33,6 @@ class Wall(Numbered):
         Across which it stands, but for a tilt.
     side : int
         1: bodies are where the coordinate is larger, -1: where it is smaller.
-    n_dims : int
     numbers : tuple of Parameter
         Its coordinate, the part of the speed across it that bodies keep; where they move along it
         as well the part of that; in a plane its tilt, about the origin.

@@ -87,17 +87,7 @@ class ByOwner:
 class _Asked:
     """A form with a constant of each owner.
 
-    Attributes
-    ----------
-    form : Formula
-    by : str
-    keys : list of str
-        Of the owners.
-    columns : ndarray, shape (n, B)
-        Its moments on each.
-    cost : float, nats
-    together : float, nats
-        Log-evidence with one number for all.
+    `columns` (n, B) are its moments on each; `together` is the evidence of one number for all.
     """
 
     form: Formula

@@ -52,17 +52,7 @@ class Contacts:
 
 @dataclass(frozen=True, eq=False)
 class _Peak:
-    """A kick that explains more than others near it.
-
-    Attributes
-    ----------
-    gain : float
-    scene, body : str
-    time : float, s
-    velocity : ndarray, shape (d,), m/s
-    columns : ndarray, shape (n, d)
-        Moments by a velocity of one along each axis, of all batches.
-    """
+    """A kick that explains more than others near it; `columns` (n, d) are by 1 m/s on an axis."""
 
     gain: float
     scene: str
@@ -176,14 +166,7 @@ def _weighed(view, peaks):
 
 
 class _Scan:
-    """Kicks at all instants of a batch: a brief acceleration, in moments.
-
-    Attributes
-    ----------
-    gains : ndarray, shape (S, n, R)
-    velocities : ndarray, shape (S, n, R, d), m/s
-    null : ndarray, shape (B,)
-    """
+    """Kicks at all instants of a batch: a brief acceleration, in moments; gains are (S, n, R)."""
 
     def __init__(self, view, batch, first):
         self.batch, self.total = batch, len(view.left)

@@ -194,7 +194,6 @@ class _Chain:
         if len(names) > 1:
             yield _Window("row", "", rows, rows + 1, lambda v: v, self, self.names != "")
 
-
     def ends(self, name, heads, tails):
         """Heads and tails of a body left out together."""
         count = len(self.seen)

@@ -60,16 +60,10 @@ class Hands:
 
 
 class _End:
-    """Rows at one end of a track, 0 or 1, left out as so many.
+    """Rows at one end of a track, 0 or 1, left out as so many, `rows` (K,).
 
-    Attributes
-    ----------
-    rows : ndarray of int, shape (K,)
-        How many.
-    paid : ndarray, shape (K,)
-        Chi-squared that is gained, less twice what they cost, nats; -inf where that cannot be.
-    even : ndarray, shape (1 + B,)
-        The greatest gain on the data and on draws of noise, as of pairs.
+    `paid` is the chi-squared that is gained, less twice what they cost, nats, -inf where that
+    cannot be; `even` the greatest gain on the data and on draws of noise, as of pairs, (1 + B,).
     """
 
     def __init__(self, chain, places, errors, side):

@@ -82,12 +82,7 @@ class Inside:
         self.forms = [form for form in forms if to_text(form.term.formula) not in texts]
 
     def propose(self, view):
-        """The family of all forms that explain more than laws without inner constants.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """The family of all forms that explain more than laws without inner constants."""
         search = inner_search(view, self.grammar, view.moment_draws)
         # Where laws without inner constants leave no more than noise, few forms are tried; where no
         # force is declared, all are.
@@ -167,7 +162,7 @@ def _sums(view, search, scan, shown, alone):
     own = view.left[:, None][:, :0] if scan is None else search.linearised(scan)
     laws, columns = shown
     every = np.concatenate([own, columns], axis=1)
-    wave, gain = None, _gain(view, every)
+    wave, gain = None, view.gain_of(every)
     if not _is_noise(view, gain, every.shape[1]):
         wave = wave_beside(view, every, alone())
     for lead in [None] * (scan is not None) + [wave] * (wave is not None):
@@ -187,12 +182,6 @@ def _is_noise(view, gain, rank):
     """Whether what is left beside a gain is no more than noise."""
     left = view.left @ view.left - gain
     return stats.chi2.sf(left, max(view.n_left - rank, 1)) > view.criteria.alpha
-
-
-def _gain(view, columns):
-    """What columns explain together."""
-    basis = orthonormal(columns, len(columns))
-    return float(np.square(basis.T @ view.left).sum())
 
 
 def _shown(view, laws):
@@ -218,10 +207,7 @@ def _shown(view, laws):
 def _sum(view, search, scan, own, laws, columns, wave=None):
     """The proposal of a form and others beside it, all where moments have them together."""
     both = np.concatenate([own, columns, *((wave.columns,) if wave else ())], axis=1)
-    size = np.linalg.norm(both, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    amounts = np.linalg.lstsq(both / size, view.left, rcond=1e-10)[0] / size
-    gain = view.left @ view.left - np.square(view.left - both @ amounts).sum()
+    amounts, _, gain = view.fitted_to(both)
     n_own = own.shape[1]
     if scan is None:
         one = Proposal("law", "", view.hypothesis, 0.0, 0.0, 0, n_dims=view.dataset.n_dims)
@@ -249,7 +235,7 @@ def _sum(view, search, scan, own, laws, columns, wave=None):
         formulas += [term.formula for term in wave.part.law.terms]
     return replace(
         one, text=" + ".join(map(to_text, formulas)), hypothesis=hypothesis, starts=starts,
-        bounds=bounds, formulas=tuple(formulas), ties=(), gain=float(gain), rank=rank,
+        bounds=bounds, formulas=tuple(formulas), ties=(), gain=gain, rank=rank,
         log_prior=one.log_prior - view.criteria.cause_nats * n_more - odd_nats,
     )  # fmt: skip
 

@@ -141,15 +141,7 @@ class Laws:
         )  # fmt: skip
 
     def _searched(self, view, target, draws, names):
-        """Laws that searches find for a target, and their greatest gains on draws of noise.
-
-        Returns
-        -------
-        found : list of Candidate
-        null : ndarray, shape (B,)
-        certificates : list of str
-        n_tried : int
-        """
+        """Laws that searches find for a target; gains on noise, certificates, number tried."""
         found, null, certificates, n_tried = [], np.zeros(draws.shape[1]), [], 0
         columns = view.response.left()[1]
         guided = self.searching.is_guided

@@ -71,10 +71,6 @@ def family_of(name, view, libraries, has_waves=True):
     libraries : sequence of Library
     has_waves : bool
         Whether a push with a period may act beside them.
-
-    Returns
-    -------
-    Family
     """
     found, alone = [], None
     for library in libraries:
@@ -238,10 +234,7 @@ def _proposals(view, library, members, wave):
     """A sum, and one in which the lesser of two powers of a distance is fitted."""
     columns = library.columns[:, members]
     both = columns if wave is None else np.concatenate([columns, wave.columns], axis=1)
-    size = np.linalg.norm(both, axis=0)
-    size = np.where(size > 0, size, 1.0)
-    amounts = np.linalg.lstsq(both / size, view.left, rcond=1e-10)[0] / size
-    gain = float(view.left @ view.left - np.square(view.left - both @ amounts).sum())
+    amounts, size, gain = view.fitted_to(both)
     own = [library.formulas[k] for k in members]
     of_distance = [k for k, formula in enumerate(own) if formula in library.freed]
     if len(of_distance) > 1:
@@ -309,11 +302,6 @@ def extent_of(view, axis):
     return float(np.nanmin(places)), float(np.nanmax(places))
 
 
-def _gain(view, columns):
-    basis = orthonormal(columns, len(columns))
-    return float(np.square(basis.T @ view.left).sum())
-
-
 def left_by(view, columns):
     """Chi-squared that columns leave."""
-    return float(view.left @ view.left) - _gain(view, columns)
+    return float(view.left @ view.left) - view.gain_of(columns)

@@ -91,12 +91,7 @@ class OwnLaws:
 
 
 def _own(view, forms, keys, columns):
-    """The sum that suits each body best; None where one number for all does as well.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (F, n, B)
-    """
+    """The sum that suits each body best, of (F, n, B); None where one for all does as well."""
     flat = np.moveaxis(columns, 2, 1).reshape(-1, columns.shape[1])
     chosen = sorted({k // len(keys) for k in _chosen(view, flat)}) if len(flat) else []
     if not chosen:

@@ -85,7 +85,6 @@ class Wave:
 
     Attributes
     ----------
-    part : Forces
     names : tuple of str
         Constants of the cosine, the sine and the rate.
     rate : float, rad/s

@@ -55,29 +55,12 @@ MOST_BODIES = 12
 
 @dataclass(frozen=True)
 class _Kept:
-    """A quantity that stays constant.
+    """A quantity that stays constant, as the constraint `text` with places for names says.
 
-    Attributes
-    ----------
-    code : str
-        Of `CAUSES`.
-    text : str
-        The constraint, with places for names in it.
-    pair : tuple of (str, str)
-    stems : tuple of str
-        Of the names of its constants.
-    values : tuple of float
-        Of the constants, SI.
-    level : float, m
-        Of the noise, told by changes from row to row.
-    is_sole : bool
-        Whether nothing else would keep the quantity: an orbit may be round, at an even speed.
-    normal : tuple of float or None
-        Across a line or plane.
-    spread : float, m
-        Of places about a curve.
-    way : tuple of float
-        Whither a weight pulls that keeps the body swinging.
+    `level` is that of the noise, told by changes from row to row, and `spread` that of places about
+    a curve, metres. `is_sole`: nothing else would keep the quantity; an orbit may be round, at an
+    even speed. `normal` is across a line or plane; `way` is whither a weight pulls that keeps the
+    body swinging.
     """
 
     code: str

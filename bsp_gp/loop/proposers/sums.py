@@ -141,13 +141,7 @@ def sets_of(view, laws, found, declared):
 
 
 def _steady_twin(view, law, column):
-    """A push along an axis that is one with a force along the velocity on these data.
-
-    Returns
-    -------
-    (law, float) or None
-        And how much of it the other is.
-    """
+    """A push along an axis that is one with a force along the velocity here, and how much of it."""
     formula, complexity, kind = law
     types = dataset_types(view.dataset)
     along = Call("normalize", Input("v_i", types["v_i"]))

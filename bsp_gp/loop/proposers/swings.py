@@ -157,12 +157,8 @@ def are_coupled(rates, scenes):
 def _coupled(view, search, form, rates, is_apart):
     """Springs to a rest point of each of two bodies, one between them, and a drag.
 
-    Energy goes over from one to the other and back, and each alone seems to be driven.
-
-    Parameters
-    ----------
-    is_apart : bool
-        Whether each has a stiffness, a coupling and a drag of its own: masses differ.
+    Energy goes over from one to the other and back, and each alone seems to be driven. Where masses
+    differ (`is_apart`) each has a stiffness, a coupling and a drag of its own.
     """
     spring, dataset = _about(view, search, form), view.dataset
     (formula,), types = spring.formulas, dataset_types(dataset)

@@ -90,16 +90,7 @@ def columns_by(view, term, constants, by):
 
 
 def _columns_of_owners(view, law, owner, count):
-    """Moments of a law as far as it acts on the bodies of each owner, (n, count).
-
-    Parameters
-    ----------
-    law : ForceLaw
-        With values.
-    owner : callable
-        ``owner(scene, body)`` is a number below `count`.
-    count : int
-    """
+    """Moments (n, count) of a law as it acts on the bodies of each ``owner(scene, body)``."""
     parts = []
     for batch in view.response.regression.batches:
         value = checked(view.response.regression.predict(batch, law), batch)  # (n, S, R, d)

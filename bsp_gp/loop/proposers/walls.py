@@ -141,12 +141,7 @@ def is_foreseen(time, scene, k, fit):
 
 
 def walls_at(found, dataset):
-    """Jumps at every wall, by axis and side: bodies turn back where they come farthest.
-
-    Parameters
-    ----------
-    found : list of Jump
-    """
+    """Jumps at every wall, by axis and side: bodies turn back where they come farthest."""
     extent, places, groups = extent_of(dataset)[1], places_of(dataset), {}
     swept = np.nanmax(places, axis=0) - np.nanmin(places, axis=0)
     for jump in found:
@@ -286,14 +281,7 @@ def _flights(dataset, jumps_of, groups):
     """Velocities, forces and errors of forces at rows between jumps, (n, d), (n, d) and (n, 1).
 
     Forces of neighbouring rows are told by the same rows: errors are such that each counts for its
-    part.
-
-    Parameters
-    ----------
-    jumps_of : dict of (str, int) to list of Jump
-        By scene and number of the body.
-    groups : dict of (int, int) to list of Jump
-        By axis and side of walls; a body that lies at one is held by it.
+    part. A body that lies at a wall of `groups` is held by it.
     """
     levels, out = levels_of(groups), []
     for scene in dataset.scenes:

@@ -152,10 +152,7 @@ class _Tried(NamedTuple):
 class _Scan:
     """What is explained by friction on a ground of some velocity, in the place of that declared.
 
-    Attributes
-    ----------
-    known : dict of str to float
-        The constant in front, where there is one friction: it is found anew at every velocity.
+    Where there is one friction its constant in front, `known`, is found anew at every velocity.
     """
 
     def __init__(self, view, rubs, blown, names):

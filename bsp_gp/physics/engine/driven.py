@@ -114,15 +114,7 @@ def _curve(chains, s, k, rows):
 
 
 class _Curves:
-    """The pieces of all curves in one table, so that all points are looked up at once.
-
-    Parameters
-    ----------
-    curves : dict of (int, int) to PPoly
-        By body and chain.
-    shape : (int, int)
-        Bodies and chains.
-    """
+    """The pieces of all curves, by (body, chain), in one table: points are looked up at once."""
 
     def __init__(self, curves, shape):
         each = list({id(curve): curve for curve in curves.values()}.values())

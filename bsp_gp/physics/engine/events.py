@@ -164,14 +164,7 @@ def _halted(flow, start, end):
 
 
 def _stopped(flow, start, state, part, changes):
-    """The points behind stops: bodies are held at rest, or set out the other way.
-
-    Returns
-    -------
-    there : Points
-    is_held : ndarray of bool, shape (M,)
-        False also where nothing stops.
-    """
+    """The points behind stops: bodies are held at rest, `is_held`, or set out the other way."""
     state, times = state.copy(), start.times + part
     is_held = np.zeros(len(part), dtype=bool)
     stops = [(m, change) for m, change in enumerate(changes) if change and change[0] == STOP]
@@ -207,15 +200,7 @@ def _changed(flow, points, end, h):
 
 
 def _through(flow, scheme, points, h, slopes):
-    """Steps of some intervals, each taken in parts between the instants of change.
-
-    Returns
-    -------
-    ends : ndarray, shape (2, R, d, M)
-    total : ndarray, shape (M, n, n + k) or None
-    modes : list of ndarray
-        Those that hold at the ends.
-    """
+    """Steps of some intervals, each in parts between the instants of change; modes at the ends."""
     ends = points.state.copy()
     modes = [mode.copy() for mode in points.modes]
     times, left = points.times.copy(), h.copy()
@@ -278,12 +263,7 @@ def _straightened(flow, start, end, length, moved):
     The direction of friction turns as fast as a body is slow: what the stages of a step make of
     that, just before a stop, are no digits. With the velocity goes all that it was across the way;
     on the way there the body went aside by it as long as friction, f, had not taken it: h / (1 + p)
-    for p = f / (what slows it down).
-
-    Parameters
-    ----------
-    moved : ndarray, shape (M, n, n + k)
-        Changed in place.
+    for p = f / (what slows it down). `moved` is changed in place.
     """
     is_halted = _halted(flow, start, end)
     half, motion = flow.n_state // 2, flow.motion
@@ -332,12 +312,7 @@ def _jumped(flow, total, index, changes, is_held, points):
 def _halt(flow, total, own, group, body, is_held, points):
     """Let derivatives jump where bodies stop, and stay with what they rest on or set out again.
 
-    Parameters
-    ----------
-    own, body : ndarray of int, shape (S,)
-        Intervals, and who stops in each.
-    points : sequence of Points
-        Before the part of the step that ends there, at its end, behind the stop; S each.
+    Points are those before the part of the step that ends there, at its end, and behind the stop.
     """
     rows = _rows_of(flow, group, body)
     moved = total[own[:, None], rows]  # (S, a, n + k)
@@ -375,12 +350,8 @@ def chained(total, moved, n):
 def _next_changes(flow, scheme, points, h):
     """Lengths until first conditions change, and which do; whole steps and None where none does.
 
-    Returns
-    -------
-    part : ndarray, shape (M,)
-    changes : list of tuple or None
-        (program, mode, receiver, source), (STOP, group of axes, body, 0), or (CUT, 0, 0, 0) where
-        the step is too long to tell whether a body stops: the rest is looked at from there.
+    Changes are (program, mode, receiver, source), (STOP, group of axes, body, 0), or (CUT, 0, 0, 0)
+    where the step is too long to tell whether a body stops: the rest is looked at from there.
     """
     part, changes = h.copy(), [None] * len(h)
     open_ = np.arange(len(h))
@@ -413,14 +384,7 @@ def _next_changes(flow, scheme, points, h):
 
 
 def _earliest(keys, at, n_looks):
-    """Of what flips in several looks at each step, that in the first such look.
-
-    Returns
-    -------
-    keys : list of tuple
-    at, look : ndarray of int
-        Step of each key, and number of the look.
-    """
+    """Of what flips in several looks at each step, that in the first: keys, step, look."""
     step, look = np.divmod(at, n_looks)
     first = np.full(step.max() + 1, n_looks)
     np.minimum.at(first, step, look)
@@ -429,14 +393,7 @@ def _earliest(keys, at, n_looks):
 
 
 def _flipped(flow, scheme, points, length):
-    """Conditions that differ after so much of a step, and bodies that turned round: keys, places.
-
-    Returns
-    -------
-    keys : list of tuple
-    places : ndarray of int
-        Which point each belongs to.
-    """
+    """Conditions that differ after so much of a step, bodies that turned round: keys, points."""
     end, stages, _ = flow.step(scheme, points, length)
     there = flow.points(end, points.times + length, points.chain, points.modes)
     keys, places = [], []
@@ -454,11 +411,7 @@ def _flipped(flow, scheme, points, length):
 def _instants(flow, scheme, points, keys, at, low, high):
     """Where conditions leave their modes, and bodies their way, between two lengths of steps.
 
-    Returns
-    -------
-    instants : ndarray, shape (len(keys),)
-    is_nothing : ndarray of bool
-        Whether a body turned round without having stopped.
+    And whether a body turned round without having stopped.
     """
     picked = points.pick(at)
     stops = np.array([key[0] == STOP for key in keys])
@@ -524,12 +477,7 @@ def _rows_of(flow, group, body):
 
 
 def _set_out(flow, group, body, points):
-    """Which way bodies came that stop, and what one more in their speed changes behind it.
-
-    Returns
-    -------
-    way, by_speed : ndarray, shape (S, a)
-    """
+    """Which way bodies came that stop, what one more in their speed changes behind it, (S, a)."""
     start, before, behind = points
     motion, axes = flow.motion, list(flow.motion.stops[group])
     here = body[:, None], axes, np.arange(len(body))[:, None]

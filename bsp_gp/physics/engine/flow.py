@@ -343,15 +343,9 @@ class Flow:
         return high if high[0].is_complete else low
 
     def _mesh(self, nodes, name, factor=1.0, has_aims=True):
-        """Steps of a scheme by its error estimate, within a part of the tolerance.
+        """Steps of a scheme by its error estimate, within a part of the tolerance; their ends.
 
         With `has_aims` the next node tells where a bounce is that an interval leaves undecided.
-
-        Returns
-        -------
-        mesh : Mesh
-        ends : ndarray, shape (2, R, d, K)
-            Where they lead.
         """
         scheme = SCHEMES[name]
         n = self.n_intervals
@@ -403,15 +397,7 @@ class Flow:
         return _packed(name, n, taken, complete and not len(open_)), state
 
     def _turned_back(self, points, end, size, left, whole, aims):
-        """Ends of steps behind bounces, which these are, and lengths of steps that end too late.
-
-        Returns
-        -------
-        end : ndarray, shape (2, R, d, M)
-        hit : ndarray of int, shape (M,)
-        cut : ndarray, shape (M,), s
-            inf where a step ends as it should.
-        """
+        """Ends of steps behind bounces, which these are, lengths of steps that end too late."""
         there = self.points(end, points.times + size, points.chain, points.modes)
         pull = self.motion.acceleration(there)
         hit, cut = self.motion.walls.hits(end, points.chain, pull, size, left, whole, aims)
@@ -591,16 +577,9 @@ class Flow:
 
 
 class _Stages:
-    """One step of a scheme with the modes frozen, and the stages that it came by.
+    """One step of a scheme with the modes frozen, and the stages (s, 2, R, d, M) that it came by.
 
-    Attributes
-    ----------
-    first : Points
-        Where it begins.
-    end : ndarray, shape (2, R, d, M)
-    states, rates : ndarray, shape (s, 2, R, d, M)
-    inputs : Inputs or None
-        What compiled loops read beside states, if it was taken by these.
+    `inputs` is what compiled loops read beside states, if it was taken by these.
     """
 
     def __init__(self, flow, scheme, points, h):

@@ -374,10 +374,6 @@ class Tape:
             From `prepare`, each ready to broadcast with the inputs.
         inputs : callable
             ``inputs(name, axis)`` gives an array.
-
-        Returns
-        -------
-        list of ndarray or float
         """
         values = [prepared[node] for _, node in self.kept]
         values += [inputs(name, axis) for _, (name, axis) in self.loads]

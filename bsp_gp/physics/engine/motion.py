@@ -73,17 +73,9 @@ class Points:
 
 
 class _Program:
-    """All terms of one kind of a law, lowered.
+    """All terms of one kind of a law, lowered, the one constraint of a lone body put into them.
 
-    Parameters
-    ----------
-    part : Constraint, optional
-        The one of a lone body, to be put into the formulas.
-
-    Attributes
-    ----------
-    is_held : bool
-        Whether its accelerations are those that the one constraint of a lone body leaves.
+    `is_held`: its accelerations are those that this constraint leaves.
     """
 
     def __init__(self, law, kind, chains, part=None):
@@ -136,14 +128,7 @@ class _Program:
         self.medium_slopes = Tape(g, nodes, self.moving)
 
     def _by_constants(self, nodes):
-        """Derivatives of nodes by the constants, those that are zero left out.
-
-        Returns
-        -------
-        which : list of (int, str)
-            Number of the node, and constant.
-        slopes : list of int
-        """
+        """Derivatives of nodes by the constants, without zeros: (node, constant), slopes."""
         g = self.graph
         found = {(number, name): g.slope(node, g.constant(name))
                  for number, node in enumerate(nodes) for name in self.constants}  # fmt: skip
@@ -535,19 +520,10 @@ class Motion:
         return out
 
     def _at_rest(self, points, at_rest, group):
-        """Bodies at rest along a group of axes, those held there, and how they creep.
+        """Bodies at rest along a group of axes, those held there, and how those go that creep.
 
-        Parameters
-        ----------
-        at_rest : ndarray, shape (R, d, M)
-            Accelerations where a velocity of zero has no direction.
-        group : int
-
-        Returns
-        -------
-        still, is_held : ndarray of bool, shape (R, d, M)
-        creeping : ndarray, shape (R, d, M) or None
-            Accelerations of bodies that creep as they are pulled; None if none is at rest.
+        `at_rest` are accelerations where a velocity of zero has no direction; None creeps if none
+        rests.
         """
         still, axes = np.zeros(at_rest.shape, dtype=bool), list(self.stops[group])
         still[:, axes] = self.are_at_rest(group, points, points.state[1])[:, None]
