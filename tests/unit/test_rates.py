@@ -217,7 +217,9 @@ def test_tracks_that_are_too_short_are_named(rng):
     assert any("fewer than 4 velocities are left out: b" in note for note in data.notes)
 
 
-@pytest.mark.parametrize("names", [("Speed (m/s)", "sigma_Speed (m/s)"), ("v (m/s)", "err_v (m/s)")])
+@pytest.mark.parametrize(
+    "names", [("Speed (m/s)", "sigma_Speed (m/s)"), ("v (m/s)", "err_v (m/s)")]
+)
 def test_the_error_of_a_velocity_is_no_second_one(table, names):
     frame = table.set_axis(["t (s)", names[0]], axis=1).assign(**{names[1]: SIGMA})
     data = Dataset.from_frames(frame)
