@@ -19,6 +19,8 @@ MOST_TURNS, TURNS = 40, 12
 """Turns up to which a recording is followed as a whole, and turns of a stretch, about."""
 LEAST_ROWS = 60
 """Rows of a stretch."""
+LEAST_PART = 3
+"""Rows of a part that is cut out of a recording."""
 BEYOND, SHARE = 3.0, 0.05
 """Standard deviations, and part of the widest, by which a track goes to either side in a turn."""
 
@@ -68,7 +70,8 @@ def cut_at(dataset, edges, note):
     Parameters
     ----------
     edges : dict of str to list of int
-        First rows of the parts of a scene, without that of the first part.
+        First rows of the parts of a scene, without that of the first part. Parts of one row or two,
+        as between jumps of two bodies that meet, are left out: no state is told by them.
     note : str
         That says so.
     """
@@ -76,6 +79,7 @@ def cut_at(dataset, edges, note):
         scene.name: tuple(
             replace(scene.rows(a, b), name=f"{scene.name}/{k}", part_of=scene.name)
             for k, (a, b) in enumerate(pairwise([0, *rows, len(scene.times)]), 1)
+            if b - a >= LEAST_PART
         ) if (rows := edges.get(scene.name)) else (scene,)
         for scene in dataset.scenes
     }  # fmt: skip

@@ -726,8 +726,8 @@ class _Group:
                 count += _n_open(links.values)
         square, scaled = (np.concatenate([part[k].ravel() for part in parts]) for k in (0, 1))
         square, count = np.square(square), max(count, 1)
-        if not np.isfinite(square).all():  # of tracks that the law runs away from
-            return
+        if not (np.isfinite(square) & np.isfinite(scaled)).all():
+            return  # of tracks that the law runs away from
         given, freed = [], []
         for s in (0.0, *STRENGTHS):
             size = 1 + s * scaled

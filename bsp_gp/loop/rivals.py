@@ -115,6 +115,8 @@ class Explained:
     def _loss(self, proposal):
         if self.includes(proposal):
             return 0.0
+        if _instruments(proposal) != _instruments(self.proposal):  # what is seen of forces differs
+            return np.nan
         terms = [t for t in proposal.hypothesis.law.terms if t.formula in proposal.formulas]
         if not terms or len(terms) != len(proposal.formulas):
             return np.nan
@@ -147,3 +149,9 @@ class Explained:
         mine, theirs = self.proposal, proposal
         height = self.loss(proposal) + mine.volume - theirs.volume
         return height + min(mine.log_prior - theirs.log_prior, 0.0)
+
+
+def _instruments(proposal):
+    """How motion is seen by a hypothesis, a tuple of texts."""
+    parts = proposal.hypothesis.parts
+    return tuple(part.describe() for part in parts if part.kind == "instrument")
