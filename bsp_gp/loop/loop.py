@@ -25,7 +25,7 @@ from bsp_gp.loop.evidence import WEAK, log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, PATIENT, both_of, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.rivals import Explained
-from bsp_gp.loop.slight import size_left, without_the_slight
+from bsp_gp.loop.slight import LITTLE, leaves_little, size_left, without_the_slight
 from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
@@ -45,6 +45,8 @@ numbers of an instrument; and moments, beside what the kept one leaves of them b
 UNEVEN = 0.02
 """Of the greatest promise, for each number that a cause adds: by so much promises are off far from
 the tracks, and of those that differ by less the simpler is fitted first."""
+FEWER = 2
+"""Times fewer fits and no seconds where rounds before have left little of what is missing."""
 MANY = 4
 """Numbers beyond which more of them (one of each body, say) count no further for that."""
 WITHIN_NOISE = 3.0
@@ -220,7 +222,8 @@ def run_rounds(
             break
         if rounds and not rounds[-1].is_beside_more and is_refused and is_refused(rounds[-1]):
             break
-        done = run.round(number, hypothesis, found, stream)
+        is_little = bool(rounds) and leaves_little(rounds[0].entering, found)
+        done = run.round(number, hypothesis, found, stream, is_little)
         if instead is not None and done.goes_on and not done.is_beside_more:
             done = instead(done, run.criteria)
         if rounds:
@@ -257,9 +260,10 @@ class _Run:
         view.tick, view.seconds_left = self.clock.tick, self.clock.left
         return view
 
-    def round(self, number, hypothesis, found, rng):
+    def round(self, number, hypothesis, found, rng, is_little=False):
+        """One round; where little is left of what was missing, with less effort."""
         started = time.monotonic()
-        turn = _Turn(self, found, hypothesis)
+        turn = _Turn(self, found, hypothesis, is_little)
         asked, view = {}, None
         if found.shows_tracks:
             view = self.view_of(found, hypothesis, rng)
@@ -277,7 +281,8 @@ class _Run:
                 asked |= self.traced(view, turn)
                 if held is None:
                     turn.fit_best()
-                    turn.fit_seconds(number, rng)
+                    if not is_little:
+                        turn.fit_seconds(number, rng)
         turn.note_time("fits")
         of_noise = (view.noise_chance, view.forced, turn.swamped) if view else ()
         table = HypothesisTable(tuple(turn.rows), turn.p_value, *of_noise)
@@ -343,8 +348,9 @@ class _Run:
 class _Turn:
     """Rows, fits and families of a round while it runs."""
 
-    def __init__(self, run, found, hypothesis):
+    def __init__(self, run, found, hypothesis, is_little=False):
         self.run, self.base = run, found
+        self.most_fits = run.criteria.most_fits // (FEWER if is_little else 1)
         self.near, self.missing = found, 0.0  # where fits begin; chi-squared that is to be gained
         evidence = log_evidence(found, hypothesis, run.criteria)
         base = (found.status, evidence, 0.0, found.log_likelihood, found.n_free)
@@ -473,7 +479,7 @@ class _Turn:
         heads = {f.name: f.proposals[0] for f in self.families if f.proposals}
         broken = []  # proposals of all there is that left much, and reduced chi-squared
         unkept = {}  # by family, fits that are no likelier than the law as it is
-        fits, n_left = self._fits(queue), self.run.criteria.most_fits
+        fits, n_left = self._fits(queue), self.most_fits
         n_most, n_fits = len(controls) + n_left, 0
         for k, (source, proposal) in enumerate(queue):
             if self.note_time("fits"):
@@ -705,7 +711,7 @@ class _Turn:
 
     def _is_spare(self, proposal, broken, is_again):
         """Whether fits before it tell that its own changes nothing."""
-        if proposal.n_laws > self.enough:  # a sum, where fewer laws leave nothing
+        if proposal.n_laws > min(self.enough, self.nearly):  # a sum, where fewer leave nothing
             return True
         if self.explained and self.explained.includes(proposal):  # with another power in it
             return True
@@ -724,6 +730,19 @@ class _Turn:
         """How many numbers leave nothing beyond the noise, and are as likely as any, about."""
         least = max(row.log_posterior for row in self.rows) - 2 * self.run.criteria.class_nats
         return min((n for _, n, nats in self.leaving_nothing if nats > least), default=math.inf)
+
+    @property
+    def nearly(self):
+        """How many laws leave little of what the base does, and are likelier.
+
+        What more than these would take off is asked for beside them, in the next round.
+        """
+        base = self.rows[0]
+        return min((
+            self.proposals[row.id].n_laws for row in self.rows[1:]
+            if row.is_fit and row.left < LITTLE * base.left and self.proposals[row.id].formulas
+            and row.log_posterior > base.log_posterior
+        ), default=math.inf)  # fmt: skip
 
     def _better(self, every, queue):
         """Laws that were not chosen, and do better than one that leaves nothing as that tells.

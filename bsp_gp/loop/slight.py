@@ -22,6 +22,12 @@ MOST_CAUSES = 3
 of them add up to a force of another form as terms of a series do."""
 
 
+def leaves_little(first, found):
+    """Whether a fit leaves little of what that of the declared law does."""
+    is_told = first.shows_tracks and found.shows_tracks
+    return is_told and size_left(found) < LITTLE * size_left(first)
+
+
 def is_slight(first, done, dataset):
     """Whether a force takes up less than half of the little that is left, and leaves the rest.
 
