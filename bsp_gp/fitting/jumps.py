@@ -20,6 +20,9 @@ CLEAR, CLEAR_THERE = 50.0, 12.0
 where a wall is known to stand."""
 NEAR = 5.0
 """Errors within which a jump is at a wall."""
+QUICK, ACROSS = 6, 4.0
+"""Rows from one turn to the next below which a swing is too fast for jumps to be told, and errors
+that it goes between two of them."""
 EXACT = 1e-6
 """Part of the extent below which errors are none."""
 EVEN = 1e-9
@@ -75,6 +78,8 @@ def jumps(times, places, levels=None):
     if len(times) < 2 * SIDE_ROWS[0] or not np.ptp(places, axis=0).any():
         return []
     error, every = scatter(places), []
+    if any(_turns(x, ACROSS * error) > len(x) / QUICK for x in places.T):
+        return []  # bodies that swing so fast turn within what a jump is told by
     for rows in SIDE_ROWS:
         if len(times) >= 2 * rows:
             own = _jumps(times, places, rows, error, levels or {})
@@ -85,6 +90,19 @@ def jumps(times, places, levels=None):
         if all(abs(at - other) >= SIDE_ROWS[0] for other in out):
             out[at] = jump
     return [out[at] for at in sorted(out)]
+
+
+def _turns(x, least):
+    """How often a coordinate turns back by more than so much."""
+    low = high = x[0]
+    count, way = 0, 0
+    for value in x[1:].tolist():
+        low, high = min(low, value), max(high, value)
+        if way >= 0 and value < high - least:
+            count, way, low = count + (way > 0), -1, value
+        elif way <= 0 and value > low + least:
+            count, way, high = count + (way < 0), 1, value
+    return count
 
 
 def scatter(places):

@@ -17,7 +17,7 @@ from bsp_gp.fitting.parts.walls import read_wall
 from bsp_gp.fitting.rolling import flow_of, roll
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.loop import _Turn
-from bsp_gp.loop.proposers.walls import Walls
+from bsp_gp.loop.proposers.walls import Walls, jumps_in, walls_at
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
@@ -138,6 +138,27 @@ def test_turns_of_a_wide_swing_are_no_jumps():
     for seed in range(5):
         noise = 0.0175 * np.random.default_rng(seed).standard_normal(len(t))
         assert jumps(t, (track + noise)[:, None]) == []
+
+
+def test_turns_of_a_swing_that_has_few_rows_are_no_jumps():
+    """Two carts between springs, six rows a turn, were hit by walls at three of them."""
+    t = np.arange(553) * 0.03
+    track = 0.02 * np.cos(2 * np.pi * t / 0.18) * np.cos(2 * np.pi * t / 11.0)
+    for seed in range(3):
+        noise = 0.002 * np.random.default_rng(seed).standard_normal(len(t))
+        assert jumps(t, (track + noise)[:, None]) == []
+
+
+def test_bodies_are_fast_where_they_meet_a_wall():
+    """A tracker that trembles where a piston turns back had been eight hits of a wall."""
+    t = np.arange(600) / 120.0
+    track = -np.cos(2 * np.pi * t / 0.39) * np.exp(-0.1 * t)
+    for time in (0.39, 0.78, 1.17, 1.56):  # a row or two that lag behind
+        track[np.abs(t - time) < 0.012] += 0.012
+    scene = Scene("1", t, np.stack([0 * t, track], axis=1)[:, None], (Entity("piston"),))
+    data = Dataset("tremble", (scene,))
+    assert jumps_in(data.scenes)[0]
+    assert walls_at(jumps_in(data.scenes)[0], data) == {}
 
 
 def test_states_are_read_off_one_side_of_a_jump():

@@ -46,6 +46,9 @@ SLANTING = 0.05
 OFF = 3.0
 """Errors by which half of all rows must be off for one jump alone to be at a wall, and for flights
 from wall to wall to be followed each by itself where no wall could be fitted."""
+SLOWEST, FAST = 0.3, 0.9
+"""Part of their speeds along an axis, of the one that nine tenths of rows have at the most, at
+which bodies meet a wall."""
 KEPT = (0.05, 1.2)
 """Parts of their speed that bodies may keep."""
 LYING, LEAST_LYING = 4.0, 12
@@ -155,7 +158,23 @@ def walls_at(found, dataset):
         is_there = abs(jump.place[axis] - farthest) <= ALIKE * extent + ERRORS * jump.error
         if is_there and KEPT[0] <= kept <= KEPT[1]:
             groups.setdefault((axis, side), []).append(jump)
-    return groups
+    # Where a spring turns bodies back, or they shake, they are slow.
+    return {
+        (axis, side): own for (axis, side), own in groups.items()
+        if max(abs(jump.before[axis]) for jump in own) > SLOWEST * _fast(dataset, axis)
+    }
+
+
+def _fast(dataset, axis):
+    """How fast bodies are along an axis where they are fast, m/s."""
+    found = [np.zeros(1)]
+    for scene in dataset.scenes:
+        for k in scene.dynamic:
+            x = scene.positions[:, k, axis]
+            times, x = scene.times[np.isfinite(x)], x[np.isfinite(x)]
+            rows = min(SIDE_ROWS[0], max(len(x) - 1, 1))
+            found.append(np.abs((x[rows:] - x[:-rows]) / (times[rows:] - times[:-rows])))
+    return float(np.quantile(np.concatenate(found), FAST))
 
 
 def _proposals(view, groups, jumps_of, most):
