@@ -55,6 +55,7 @@ from bsp_gp.loop.proposal import FAULTS, continued
 from bsp_gp.loop.proposers import standard
 from bsp_gp.loop.proposers.kicks import is_kicked
 from bsp_gp.loop.questions import hidden_bound
+from bsp_gp.loop.slight import MOST_CAUSES
 from bsp_gp.loop.unknown import unknowns
 from bsp_gp.loop.view import View
 from bsp_gp.physics.aliasing import aliasing_notes
@@ -168,7 +169,7 @@ def close_loop(
     settings = {
         "criteria": criteria, "max_rounds": max_rounds, "starts": starts, "bounds": bounds,
         "progress": progress, "looks": 2 if ready.has_more else 1,
-        "crew": crew,
+        "crew": crew, "is_enough": _is_enough,
     }  # fmt: skip
 
     def look(ready, rng, begun, clock=clock, **more):
@@ -606,10 +607,15 @@ def _stop_reason(rounds):
     if last.is_last:
         return "nothing_left"
     if last.decision.is_adopted:
-        return "most_rounds"
+        return "many_causes" if _is_enough(rounds) else "most_rounds"
     if last.decision.reason == "declared_model_not_fitted":
         return "failed"
     return "nothing_left" if last.decision.verdict == "nothing missing" else "nothing_adopted"
+
+
+def _is_enough(rounds):
+    """Whether so many causes were found that they only describe the tracks: no more are asked."""
+    return writing_up.n_causes(rounds) > MOST_CAUSES
 
 
 def _criteria(criteria, alpha):

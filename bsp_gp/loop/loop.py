@@ -166,7 +166,7 @@ class Round:
 def run_rounds(
     hypothesis, dataset, proposers, *, rng, criteria=None, max_rounds=5, starts=None, bounds=None,
     clock=None, on_round=None, begun=None, earlier=None, progress=None, looks=1, crew=None,
-    is_refused=None, instead=None,
+    is_refused=None, instead=None, is_enough=None,
 ):  # fmt: skip
     """Rounds up to the first that adopts nothing.
 
@@ -205,6 +205,8 @@ def run_rounds(
         are to be found it is not asked, as long as these are not.
     instead : callable, optional
         ``instead(round, criteria)``: the round with another cause in the place of such a one.
+    is_enough : callable, optional
+        ``is_enough(rounds)``: whether no more rounds are wanted.
     """
     run = _Run(dataset, proposers, criteria or Criteria(), bounds or {}, clock or Clock(),
                progress or (lambda text: None), looks, crew or Crew())  # fmt: skip
@@ -219,6 +221,8 @@ def run_rounds(
         if number <= len(rounds):
             continue
         if rounds and (not rounds[-1].goes_on or is_hopeless(rounds)):
+            break
+        if rounds and is_enough is not None and is_enough(rounds):
             break
         if rounds and not rounds[-1].is_beside_more and is_refused and is_refused(rounds[-1]):
             break

@@ -9,6 +9,7 @@ from itertools import takewhile
 
 import numpy as np
 
+from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
@@ -42,7 +43,7 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
-    "likelier_refused", "at_bound", "much_left",
+    "likelier_refused", "at_bound", "much_left", "laboratory",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
@@ -124,9 +125,20 @@ def is_many(rounds, removed):
     removed : collection of int
         Numbers of rounds whose causes were taken back.
     """
+    kept = _kept(rounds, removed)
+    is_series = any(r.proposals[r.decision.best.id].is_series for r in kept)
+    return is_series or n_causes(rounds, removed) > MOST_CAUSES
+
+
+def n_causes(rounds, removed=()):
+    """How many forces, and what else moves bodies, rounds have added.
+
+    Parameters
+    ----------
+    removed : collection of int
+        Numbers of rounds whose causes were taken back.
+    """
     adopted = _kept(rounds, removed)
-    if any(r.proposals[r.decision.best.id].is_series for r in adopted):
-        return True
     causes = [
         max(len(set(map(_kind_of, r.proposals[r.decision.best.id].formulas))), 1)
         for r in adopted
@@ -136,7 +148,7 @@ def is_many(rounds, removed):
     of_kicks = (r for r in adopted if r.decision.best.code in KICKED)
     parts = (p for r in of_kicks for p in r.hypotheses[r.decision.best.id].parts)
     kicks = {p.mark: (p.scene, p.entity) for p in parts if isinstance(p, Kick)}
-    return max(sum(causes), *Counter(kicks.values()).values(), 0) > MOST_CAUSES
+    return max(sum(causes), *Counter(kicks.values()).values(), 0)
 
 
 def _kept(rounds, removed):
@@ -178,6 +190,31 @@ def doubt_of_sources(rounds, removed):
                 if abs(found.values[k]) < Z_90 * found.errors[k]:
                     return "not_placed"
     return ""
+
+
+def doubt_of_axes(rounds, removed, dataset):
+    """Why forces that rounds have added in the sky are none for sure; "" where nothing says so.
+
+    Nothing up there acts along the axes of a picture, or about a place where nothing is; only what
+    has a period may, as parallax does.
+
+    Parameters
+    ----------
+    removed : collection of int
+        Numbers of rounds whose causes were taken back.
+    dataset : Dataset
+    """
+    if not is_of_the_sky(dataset):
+        return ""
+    adopted = (r.proposals[r.decision.best.id] for r in _kept(rounds, removed))
+    forces = [formula for p in adopted if p.code != "period" for formula in p.formulas]
+    of_places = [f for f in forces if {*AXES, "origin"} & f.inputs and not _is_oblate(f)]
+    return "laboratory" if of_places else ""
+
+
+def _is_oblate(formula):
+    """Whether it falls off as the flattening of a centre does, about an axis of its own."""
+    return "^-5" in to_text(formula)
 
 
 def doubt_of_rest(first, last, rounds, bound):

@@ -86,6 +86,8 @@ REASONS = {
     "not_placed": "its strength may be nothing, and it may be anywhere: other pushes that change "
     "from place to place do as well",
     "much_left": "much of the motion is left beside it, which nothing that was tried explains",
+    "laboratory": "it acts along the axes of a picture, or about a place where nothing is seen, as "
+    "nothing in the sky does",
     "at_bound": "a constant inside it ends at the bound of what it may be: another form is asked "
     "for",
     "few_periods": "no recording is as long as two of its periods: it was not seen to come back",
@@ -105,6 +107,7 @@ REASONS = {
 STOPS = {
     "nothing_left": "nothing is left above the noise",
     "nothing_adopted": "nothing more was good enough to adopt",
+    "many_causes": "so many causes only describe these tracks: no more were asked for",
     "most_rounds": "the limit of rounds was reached; more may be left",
     "time_is_up": "the time was up",
     "failed": "the declared model could not be fitted",
