@@ -90,7 +90,7 @@ def longest(found):
     return float(np.max(np.nanmax(times, axis=0) - np.nanmin(times, axis=0)))
 
 
-def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS):
+def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
     """The rate at which tracks swing as they were seen, rad/s; 0 where they do not.
 
     Parameters
@@ -102,6 +102,8 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS):
         Whose tracks; those of all.
     turns : float
         In the longest track, below which nothing is a swing.
+    n_modes : int
+        Rates that may make it together, one or two: bodies that are tied to each other beat.
     """
     tracks = join(chains.observed for chains in found.groups)
     if foreseen:
@@ -128,9 +130,12 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS):
         rates = every[:: max(round(fading), 1)]
         power = sum(_power(*track, rates, fading / span) for track in own)
         best = int(np.argmax(power))
+        made = power[best]
+        if n_modes > 1:
+            made += np.max(power[np.abs(rates - rates[best]) > 2 * np.pi / span], initial=0.0)
         # What nobody has explained may be all of what was taken for noise.
-        noise = min((whole - power[best]) / max(count, 1), 1.0)
-        is_shown = power[best] > max(SWINGING * whole, SHOWN * noise, ROUNDING)
+        noise = min(max(whole - made, 0.0) / max(count, 1), 1.0)
+        is_shown = made > max(SWINGING * whole, SHOWN * noise, ROUNDING)
         shown = span * min(SEEN / fading, 1.0) if fading else span
         if is_shown and rates[best] * shown > 2 * np.pi * turns:
             return float(rates[best])

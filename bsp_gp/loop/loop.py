@@ -281,6 +281,7 @@ class _Run:
             turn.p_value = turn.p_of_all(view, self.looks)
             if turn.p_value > self.criteria.alpha:
                 turn.ask_without_memory(number, view)
+                turn.ask_swamped()
             else:
                 asked |= self.traced(view, turn)
                 if held is None:
@@ -454,6 +455,24 @@ class _Turn:
                 self.p_value = by_chance
                 return
         self.families, self.near, self.missing, self.levels, self.chances = before
+
+    def ask_swamped(self):
+        """Fit what swings may be, where noise with a memory is as large as the motion.
+
+        A swing of a few rows a turn is such noise to moments. Whole tracks tell: by how much a
+        cause is likelier than that noise is the chance that it is noise.
+        """
+        told = [(f.name, p) for f in self.families for p in f.controls]
+        controls = [job for job in told if job[1].kind not in ("noise", "wall")]
+        if not self.p_value > self.run.criteria.alpha or not self.swamped > SWAMPED:
+            return
+        rows = [
+            self._followed(*job, _fit_of(self._shared, job))[0] for job in controls
+            if not self.note_time("fits")
+        ]
+        best = max((row.log_posterior for row in rows if row.is_fit), default=-math.inf)
+        if best > self.rows[0].log_posterior + self.run.criteria.noise_nats:
+            self.p_value = min(self.p_value, math.exp(self.rows[0].log_posterior - best))
 
     def p_of_all(self, view, looks):
         """Chance that noise alone shows as much in any family, or at another look."""

@@ -71,12 +71,15 @@ class Swings:
         if not self.forms or is_sky or len(names) > MOST_BODIES:
             return Family(self.name)
         is_alone = all(len(s.dynamic) == 1 for s in scenes)
-        rates = {name: swing_of(view.fit, body=name) for name in ([None] if is_alone else names)}
+        n_modes = 2 if len(names) == 2 and not is_alone else 1
+        rates = {name: swing_of(view.fit, body=name, n_modes=n_modes)
+                 for name in ([None] if is_alone else names)}  # fmt: skip
         slow = [name for name, rate in rates.items() if not rate]
         if 2 * len(slow) > len(rates):
             return Family(self.name)
         # Beside bodies that swing for sure one may be so slow that the track is one turn of it.
-        rates |= {name: swing_of(view.fit, body=name, turns=FEWER_TURNS) for name in slow}
+        rates |= {name: swing_of(view.fit, body=name, turns=FEWER_TURNS, n_modes=n_modes)
+                  for name in slow}  # fmt: skip
         if not all(rates.values()):
             return Family(self.name)
         if swing_of(view.fit, foreseen=True):
