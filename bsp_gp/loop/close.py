@@ -535,7 +535,10 @@ def _written(
         for done in rounds
     ]
     records = writing_up.judged_together(records)
+    total = _total(accounts, at[id(first)], at[id(last)])
     verdict = min((r.verdict for r in records), key=VERDICTS.index)
+    if writing_up.is_idle(rounds, pruned.removed, total["ratio"]):
+        verdict = records[-1].verdict
     effect = next((r.effect for r in records if r.verdict == verdict and r.effect), None)
     constants = constant_estimates(last, dataset, bounds)
     for done in rounds:
@@ -547,7 +550,7 @@ def _written(
         "noise": about_noise(last.noise, ready.noise, dataset.units),
         "rounds": records, "law": last.law, "law_text": without_unseen(last.law).text(units=units),
         "law_latex": without_unseen(last.law).latex(units=units), "constants": constants,
-        "total": _total(accounts, at[id(first)], at[id(last)]), "verdict": verdict,
+        "total": total, "verdict": verdict,
         "probability": math.nan if effect is None else effect.probability,
         "equivalents": () if effect is None else effect.equivalents,
         "hidden_bound": writing_up.bound_of(bound, dataset.units),

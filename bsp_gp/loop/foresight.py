@@ -173,9 +173,11 @@ def that_foresee(rounds, foresight):
             rounds = [*rounds[:k], _refused(done, "predictions_worse")]
             break
         helps.append(foresight.helps(done, last))
-    if rounds[-1].decision.verdict in ("nothing missing", "the noise is not as assumed"):
+    verdict = rounds[-1].decision.verdict
+    if verdict == "nothing missing":
         return list(rounds)
-    return _that_help(rounds, helps)
+    # Odd noise that is left may be what a cause was made of that is one of many.
+    return _that_help(rounds, helps, is_noise=verdict == "the noise is not as assumed")
 
 
 def is_refuted(found, hypothesis, accounts, whole, deadline=None):
@@ -217,13 +219,13 @@ def _is_better_in_noise(accounts):
     return not has_room and ratio.high < 1.0
 
 
-def _that_help(rounds, helps):
-    """Rounds up to the last that adopts what predictions are better with."""
+def _that_help(rounds, helps, is_noise=False):
+    """Rounds up to the last that adopts what predictions are better with, or what is a fact."""
     kept = list(rounds)
     for k in reversed(range(len(helps))):
         if not foresees(rounds[k].decision.best):
             continue  # a kick beside a force that helps nothing says nothing for that
-        if helps[k]:
+        if helps[k] or (is_noise and rounds[k].decision.is_fact):
             break
         kept = [*rounds[:k], _refused(rounds[k], "predictions_no_better")]
     return kept

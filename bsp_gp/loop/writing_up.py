@@ -22,7 +22,7 @@ from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Z_90, Constancy
 from bsp_gp.loop.criteria import FORESEEING, KICKED
 from bsp_gp.loop.decide import share_of_listed
-from bsp_gp.loop.foresight import foresees
+from bsp_gp.loop.foresight import NO_BETTER, foresees
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
 from bsp_gp.loop.proposal import is_turning
 from bsp_gp.loop.proposers.exponents import base_of
@@ -149,6 +149,25 @@ def n_causes(rounds, removed=()):
     parts = (p for r in of_kicks for p in r.hypotheses[r.decision.best.id].parts)
     kicks = {p.mark: (p.scene, p.entity) for p in parts if isinstance(p, Kick)}
     return max(sum(causes), *Counter(kicks.values()).values(), 0)
+
+
+def is_idle(rounds, removed, ratio):
+    """Whether all that was adopted mends rows or kicks bodies, and the motion is left as it was.
+
+    Where something is missing that nothing explains, it is no account of that.
+
+    Parameters
+    ----------
+    removed : collection of int
+        Numbers of rounds whose causes were taken back.
+    ratio : Ratio
+        Of the errors of predictions.
+    """
+    found = [r.decision.best for r in _kept(rounds, removed)]
+    is_missing = rounds[-1].decision.verdict in ("seen, not adopted", "cannot tell")
+    is_open = is_missing and not rounds[-1].decision.is_adopted
+    moves = any(foresees(best) or best.kind in ("kicks", "noise") for best in found)
+    return bool(found) and is_open and not moves and not ratio.value < NO_BETTER
 
 
 def _kept(rounds, removed):

@@ -120,6 +120,7 @@ def verdict_parts(report):
         seen = [r.effect.name for r in report.rounds if r.effect is not None]
         text = "The declared model leaves more than noise, but nothing was good enough to adopt."
         return text, f"The best, {seen[-1]}, was seen and not adopted." if seen else ""
+    adopted = [r for r in adopted if r.verdict == "cannot tell"]
     if report.verdict == "cannot tell" and adopted:
         text = "Something is missing from the declared model, but these data cannot tell whether "
         detail = "The law was taken up for predictions."
