@@ -61,8 +61,9 @@ tracks have gained otherwise."""
 MOST_LEFT = 0.3
 """Part of the reduced chi-squared that may be left by what comes before all other causes."""
 MOST_BESIDE = 0.1
-"""Part of what a law leaves, up to which a rod or a rail leaves little, and a law by which the time
-is up."""
+"""Part of what a law leaves, up to which a rod or a rail leaves little."""
+MOST_IN_TIME = 0.3
+"""The same of a law that is told as a description where the time is up."""
 MOST_HELD = 3
 """Rods and rails that are fitted before all else."""
 MOST_UNKEPT = 3
@@ -394,7 +395,7 @@ class _Turn:
         stands = decision.is_adopted and set(self.left_out) <= {"fits", "proposers"}
         if stands and any(key == decision.best.id for key, *_ in self.leaving_nothing):
             return replace(decision, is_fact=False)
-        if stands and decision.best.left < MOST_BESIDE * self.rows[0].left:
+        if stands and decision.best.left < MOST_IN_TIME * self.rows[0].left:
             return replace(decision, verdict="effective law", reason="time_is_up", is_fact=False)
         return replace(
             decision, verdict="cannot tell", reason="time_is_up", is_adopted=False, is_fact=False
