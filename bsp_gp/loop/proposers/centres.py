@@ -19,6 +19,8 @@ from bsp_gp.physics.force import Term, fresh_name
 
 PULL = "inverse(norm(p_i - p_j)^2) * normalize(p_i - p_j)"
 LEAST_ROWS = 5
+TOWARDS = 0.5
+"""Cosine from which half of all bends, at the least, are towards a centre."""
 SURE = 4.0
 """Standard errors of an axis by which an ellipse is flattened that is seen aslant."""
 
@@ -88,14 +90,20 @@ def _centre(scene):
     return np.nanmean(scene.positions[:, still[0]], axis=0) if len(still) == 1 else None
 
 
-def strength_of(dataset):
+def strength_of(dataset, centre_of=_centre):
     """Acceleration towards the only body at rest times the square of the distance; None without.
 
     The median over rows and bodies does not mind where one passes another closely.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    centre_of : callable, optional
+        ``centre_of(scene)``: where it is, (d,), or None.
     """
-    found = []
+    found, aside = [], []
     for scene in dataset.scenes:
-        centre = _centre(scene)
+        centre = centre_of(scene)
         if centre is None:
             return None
         for k in scene.dynamic:
@@ -107,6 +115,8 @@ def strength_of(dataset):
             speeds = np.diff(places, axis=0) / np.diff(times)[:, None]
             bend = 2 * np.diff(speeds, axis=0) / (before + after)
             distance = np.linalg.norm(places[1:-1], axis=1)
-            found += (-(bend * places[1:-1]).sum(axis=1) * distance).tolist()
+            towards = -(bend * places[1:-1]).sum(axis=1) / distance
+            found += (towards * distance**2).tolist()
+            aside += (towards < TOWARDS * np.linalg.norm(bend, axis=1)).tolist()
     strength = float(np.median(found)) if found else 0.0
-    return strength if strength > 0 else None
+    return strength if strength > 0 and np.mean(aside) < 0.5 else None

@@ -16,7 +16,8 @@ from bsp_gp.language.formula import evaluate
 from bsp_gp.language.inputs import STATE_INPUTS, input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposal import PATIENT, Family, Proposal
+from bsp_gp.loop.proposers.centres import strength_of
 from bsp_gp.loop.whereabouts import whereabouts
 from bsp_gp.physics.bodies import law_inputs
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
@@ -32,7 +33,9 @@ N_STARTS = 2
 CHUNK = 1 << 22
 """Numbers in one array at a time."""
 ATTRACTION = "m_i * (p_j - p_i) / norm(p_j - p_i)^3"
-GRAVITY = f"6.6743e-11 [m^3/(kg s^2)] * m_j * {ATTRACTION}"
+NEWTON = 6.6743e-11
+"""m^3/(kg s^2), CODATA 2018."""
+GRAVITY = f"{NEWTON} [m^3/(kg s^2)] * m_j * {ATTRACTION}"
 TYPES = {**input_types({"mass": Unit.of(kg=1)}), **{n: STATE_INPUTS[n] for n in ("p_i", "p_j")}}
 ZOOMS, CLOSER, MOVES, LITTLE = 6, 2.5, 4, 1e-4
 """Finer grids about the best places, how much finer each is, times that one moves along, and the
@@ -94,6 +97,10 @@ class Hidden(Sources):
             for k in apart(unit, gains):
                 proposals += stage.proposals(terms, *stage.closer(terms, k))
         family = self.family(proposals, null, n_tried)
+        first = _at_origin(view, stage)
+        if first:  # where tables of the sky count from, whether that body is in them or not
+            proposals = (*first, *family.proposals)
+            return replace(family, proposals=proposals, is_led_by_control=True)
         most = MOST * float(view.left @ view.left)
         # Of orbits with few rows a turn moments tell all but the power: who goes round what nobody
         # sees is fitted as that, whatever sums of other forms promise.
@@ -135,6 +142,23 @@ def _are_same(unit, other):
     """Whether the columns of two pulls are the same at every place."""
     cosines = np.abs(np.einsum("nc,nc->c", unit, other))
     return bool(np.all(cosines[(unit != 0).any(axis=0)] > 1 - SAME))
+
+
+def _at_origin(view, stage):
+    """A source at rest where the places count from, if the tracks bend towards that; or none.
+
+    Where rows are few a turn, or turns many, moments along tracks tell no place: how fast bodies
+    bend tells the mass.
+    """
+    if not view.is_astronomical or view.fit.law.terms or view.reference:
+        return ()
+    strength = strength_of(view.dataset, lambda scene: np.zeros(scene.n_dims))
+    if strength is None:
+        return ()
+    terms, place = attraction(view, stage), np.zeros(stage.n_dims)
+    gain = max(float(view.left @ view.left) - view.n_left, 0.0)
+    (first, *_) = stage.proposals(terms, place, strength / NEWTON, gain)
+    return (replace(first, is_first=True, patience=PATIENT),)
 
 
 def still(places):
