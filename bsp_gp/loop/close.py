@@ -32,6 +32,7 @@ from bsp_gp.fitting.law_fit import (
     unset,
 )
 from bsp_gp.fitting.parts.latents import unknown_properties
+from bsp_gp.fitting.parts.orbits import velocity_of
 from bsp_gp.fitting.parts.rails import rail_of
 from bsp_gp.fitting.rests import without_rests, without_still_ends
 from bsp_gp.fitting.unseen import without_unseen
@@ -544,12 +545,16 @@ def _written(
     for done in rounds:
         constants = writing_up.told(constants, done.details)
     units = {c.name: c.unit for c in constants if not c.entity}
+    law = without_unseen(last.law)
+    text, latex = law.text(units=units), law.latex(units=units)
+    if dataset.is_of_sight:
+        text, latex = velocity_of(last.law)
     notes = ready.notes(last, pruned.hypothesis)
     return {
         "dataset": writing_up.about_data(ready.dataset, ready.split, notes),
         "noise": about_noise(last.noise, ready.noise, dataset.units),
-        "rounds": records, "law": last.law, "law_text": without_unseen(last.law).text(units=units),
-        "law_latex": without_unseen(last.law).latex(units=units), "constants": constants,
+        "rounds": records, "law": last.law, "law_text": text, "law_latex": latex,
+        "constants": constants,
         "total": total, "verdict": verdict,
         "probability": math.nan if effect is None else effect.probability,
         "equivalents": () if effect is None else effect.equivalents,

@@ -65,9 +65,8 @@ def summary_text(report: LoopReport, width: int = WIDTH) -> str:
     ]
     for note in [note for note in notes if note.startswith(CHECK)][:_MAX_CHECKS]:
         paragraphs.append((note.replace(CHECK, "Check: ", 1), "       "))
-    law = "F = " + report.law_text
-    if is_speed(report.dataset.get("symbols", {}).get("m", "")):
-        law = "a steady velocity, and the companions that were found"
+    is_of_sight = is_speed(report.dataset.get("symbols", {}).get("m", ""))
+    law = report.law_text if is_of_sight else "F = " + report.law_text
     paragraphs += [("Law: " + law, "     "), *_constants(report)]
     paragraphs += [*_rounds(report), *_traced(report)]
     paragraphs += [*_powers(report), *_ties(report), *_dependence(report), *_noise(report)]

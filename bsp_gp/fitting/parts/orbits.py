@@ -80,7 +80,17 @@ class Orbit(Numbered):
         """Formula-like."""
         period, size, *_ = self.names
         shape = "cos" if self.is_circle else "Kepler"
-        return f"v = V + {size} {shape}(2 pi t / {period}) of a companion"
+        return f"{size} {shape}(2 pi t / {period}) of a companion"
+
+    @property
+    def latex(self):
+        """Its velocity as LaTeX; t counts from the epoch."""
+        number = self.names[0][1:]
+        mean = rf"2\pi t / P_{{{number}}} + \lambda_{{{number}}}"
+        if self.is_circle:
+            return rf"K_{{{number}}} \cos\left({mean}\right)"
+        whole = rf"\cos\left(\nu_{{{number}}} + \omega_{{{number}}}\right)"
+        return rf"K_{{{number}}} \left({whole} + e_{{{number}}} \cos\omega_{{{number}}}\right)"
 
 
 @dataclass(frozen=True)
@@ -112,7 +122,19 @@ class Trend(Numbered):
 
     def describe(self):
         """Formula-like."""
-        return f"v = V + {self.names[0]} t"
+        return f"{self.names[0]} t"
+
+    @property
+    def latex(self):
+        """Its velocity as LaTeX."""
+        return r"a\, t"
+
+
+def velocity_of(law):
+    """A velocity along the line of sight under a law, as text and as LaTeX."""
+    parts = [part for part in law.frame if isinstance(part, Orbit | Trend)]
+    text = " + ".join(["v = V", *(part.describe() for part in parts)])
+    return text, " + ".join(["v = V", *(part.latex for part in parts)])
 
 
 def _circle(times, epoch, period, size, longitude):

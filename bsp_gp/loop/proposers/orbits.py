@@ -329,7 +329,7 @@ def _proposal(view, scan, points):
     # What is left beside companions may have a memory: the star's own.
     noise = TrackNoise(replace(view.hypothesis.noise, is_correlation_known=False))
     return Proposal(
-        "orbit", " + ".join(part.describe() for part in parts),
+        "orbit", " + ".join(["v = V", *(part.describe() for part in parts)]),
         view.hypothesis + Hypothesis((*parts, noise)), -view.criteria.cause_nats * len(parts), gain,
         rank, kind="hidden_body", patience=PATIENT,
     )  # fmt: skip
@@ -366,6 +366,6 @@ def _trend(view, scan):
     number = Parameter(name, "", LENGTH / TIME, start=slope, prior=widest)
     part = Trend((number,), scan.epoch, scan.axis)
     return Proposal(
-        "trend", part.describe(), view.hypothesis + part, -view.criteria.cause_nats,
+        "trend", f"v = V + {part.describe()}", view.hypothesis + part, -view.criteria.cause_nats,
         slope**2 * size, kind="hidden_body",
     )  # fmt: skip
