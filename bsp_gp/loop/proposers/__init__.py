@@ -50,7 +50,8 @@ def standard(grammar, dataset, **settings):
         Of `Laws`.
     """
     if dataset.is_of_sight:
-        return [Orbits(), OrbitPairs(), Noise()]
+        orbits = Orbits()
+        return [orbits, OrbitPairs(orbits), Noise()]
     laws = Laws(grammar, dataset, **settings)
     inside = Inside(laws, dataset)
     return [

@@ -21,8 +21,9 @@ from bsp_gp.physics.force import fresh_names
 from bsp_gp.search.columns import orthonormal
 from bsp_gp.units import DIMENSIONLESS, Unit
 
-LONGEST, OVERSAMPLING, MOST_PERIODS = 2.5, 5, 40_000
-"""The longest period in spans of the recording, frequencies in each turn more, and all of them."""
+LONGEST, OVERSAMPLING, MOST_PERIODS, MOST_NUMBERS = 2.5, 5, 40_000, 16_000_000
+"""The longest period in spans of the recording, frequencies in each turn more, all of them, and all
+of them times the rows: what is kept of them has twice as many numbers."""
 CLOSE, EVEN, SHORTEST = 0.05, 0.02, {True: 2.0, False: 0.25}
 """The part of all steps that are short ones; by how much of such a one all others may miss whole
 numbers of it where rows are evenly spaced; the shortest period in these, of even rows (Nyquist's)
@@ -43,13 +44,23 @@ class Orbits:
 
     name = "orbits"
     asks_rows = True
+    is_alone = False
+
+    def __init__(self):
+        self._kept = None
+
+    def scan_of(self, view):
+        """The scan of a view, which two proposers share."""
+        if self._kept is None or self._kept[0] is not view:
+            self._kept = view, _Scan(view)
+        return self._kept[1]
 
     def propose(self, view):
         """The family of all periods, from those of two steps to those of more than the recording.
 
         A circle has three numbers, an ellipse five.
         """
-        scan = _Scan(view)
+        scan = self.scan_of(view)
         trend = _trend(view, scan)
         if not len(scan.rates):
             return Family(self.name, (trend,), null=np.zeros(len(view.row_draws)))
@@ -64,14 +75,22 @@ class OrbitPairs:
     """Two companions at once as a proposer: what one leaves of two hides that one.
 
     Beside each of the likeliest circles a second is sought.
+
+    Parameters
+    ----------
+    orbits : Orbits
     """
 
     name = "orbit pairs"
     asks_rows = True
+    is_alone = False
+
+    def __init__(self, orbits):
+        self._orbits = orbits
 
     def propose(self, view):
         """The family of all pairs of periods."""
-        scan = _Scan(view)
+        scan = self._orbits.scan_of(view)
         if not len(scan.rates):
             return Family(self.name, null=np.zeros(len(view.row_draws)))
         gains = scan.circles()
@@ -135,7 +154,8 @@ class _Scan:
         low = 1.0 / (LONGEST * self.span)
         high = 1.0 / _shortest(times)
         count = int((high - low) * OVERSAMPLING * self.span)
-        steps = np.arange(max(min(count, MOST_PERIODS), 0))
+        most = min(MOST_PERIODS, MOST_NUMBERS // max(int(self.is_own.sum()), 1))
+        steps = np.arange(max(min(count, most), 0))
         self.rates = 2 * math.pi * (low + steps / (OVERSAMPLING * self.span))
         self.targets = np.concatenate([view.tangent.residual[None], view.row_draws])
         self.basis = np.zeros((0, self.targets.shape[1]))  # of what other orbits take up
