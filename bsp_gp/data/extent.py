@@ -28,10 +28,12 @@ def spans_the_sky(scenes, units):
 
 
 def is_of_the_sky(dataset):
-    """Whether places are of astronomical size, or angles without a distance.
+    """Whether places are of astronomical size, angles without a distance, or velocities of stars.
 
     Where no unit is given, dates tell it: no film begins in the year 2002.25.
     """
+    if dataset.is_of_sight:
+        return True
     if not dataset.units.declared:
         return all(map(_is_dated, dataset.scenes))
     return is_astronomical(dataset) or dataset.units.symbols.get("m") in OF_THE_SKY

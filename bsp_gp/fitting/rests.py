@@ -13,7 +13,7 @@ from scipy import stats
 from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.notes import listed
-from bsp_gp.data.scene import CHECK, SIGHT, Evaluation
+from bsp_gp.data.scene import CHECK, Evaluation
 from bsp_gp.fitting.channels import unexplained
 from bsp_gp.fitting.snippets import snippets_under
 
@@ -113,7 +113,7 @@ def may_lose_ends(dataset):
 
     Not where rows are counted (`Evaluation`), where velocities are data, or in the sky.
     """
-    is_plain = dataset.evaluation == Evaluation() and dataset.velocity not in ("measured", SIGHT)
+    is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
     return is_plain and not dataset.is_summed and not is_of_the_sky(dataset)
 
 

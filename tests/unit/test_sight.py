@@ -141,6 +141,20 @@ def test_two_companions_each_of_which_hides_the_other(tmp_path, rng):
     np.testing.assert_allclose(periods, [11.75, 103.7], rtol=0.02)
 
 
+def test_a_star_is_followed_as_a_whole(tmp_path, rng):
+    """Forty turns had been cut into stretches, each with a zero of its own."""
+    dates = np.arange(300.0)
+    speeds = velocities(dates, (7.3, 30.0, 1.0)) + rng.normal(0, 0.5, 300)
+    rows = [f"{2450000 + d:.1f},{v:.3f}" for d, v in zip(dates, speeds, strict=True)]
+    file = tmp_path / "star.csv"
+    file.write_text("\n".join(["JD,RV (km/s)", *rows]) + "\n", encoding="utf-8")
+    report = close_loop(load_dataset(file), "nothing", rng=rng, n_bootstrap=0)
+    assert not any("turns" in note for note in report.dataset["notes"])
+    (period,) = (c for c in report.constants if c.name == "P1")
+    assert period.value / DAY == pytest.approx(7.3, abs=0.001)
+    assert report.law_text.startswith("v = V + K1 cos")
+
+
 def test_noise_alone_has_no_companion(tmp_path, rng):
     dates, speeds, errors = observed(rng, 50, 900, error=3.0)
     report = close_loop(
