@@ -17,6 +17,7 @@ from bsp_gp.data.headings import (
     is_error,
     is_no_place,
     is_rate,
+    numbered_places,
 )
 from bsp_gp.data.logged import logged_columns
 from bsp_gp.data.property_columns import quoted
@@ -260,7 +261,8 @@ def axes_of(table, declaration):
     _refuse_rates(table, declaration, axes)
     _require_clock(table, declaration)
     if axes not in (["x"], ["y"]):
-        require_columns(table, ["x", "y"] if {"t", "frame"} & set(columns) else ["t", "x"])
+        needed = ["x", "y"] if {"t", "frame"} & set(columns) else ["t", "x"]
+        require_columns(table, needed, numbered_places(table.present or columns))
         return axes, ()
     other = "y" if axes == ["x"] else "x"
     angle = declaration.units.get("length", table.units.get(axes[0], ""))

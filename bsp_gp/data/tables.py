@@ -472,7 +472,8 @@ def _left_out_bodies(table, inputs):
 
     It is one of those that `with_properties` tells again where a body is missed.
     """
-    unused = {name: theirs for name, theirs in table.unused.items() if name not in inputs}
+    taken = {*inputs, *table.renamed}  # or left out by the caller
+    unused = {name: theirs for name, theirs in table.unused.items() if name not in taken}
     found = bodies_beside(unused, table.units) if "entity" not in table.frame.columns else {}
     if not found:
         return []
