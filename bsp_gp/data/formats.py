@@ -156,7 +156,8 @@ def long_table(
         frame, dates, dated = _without_dates(frame, [h.name for h in found])
         notes = (*notes, *steps, *dates)
         names = {h.name for h in found}
-        has_motion = has_place(found) or names & {"vx", "vy", "vz"}
+        rates = {f"{kind}{axis}" for kind in "va" for axis in "xyz"}
+        has_motion = has_place(found) or names & rates
         if not {"t", "frame"} & names and has_motion:
             frames, untimed = rows_as_frames(frame, found)
     names = [h.name for h in found]

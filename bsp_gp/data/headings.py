@@ -168,7 +168,7 @@ _CLOCKS = word_set("utc utcg utcj gmt tdb tai tt iso lt local cet cest")
 """Of which clock a time is: ``Time (UTCG)``."""
 _CLOCK_UNITS = {
     "ms": "ms", "msec": "ms", "millis": "ms", "millis()": "ms", "milliseconds": "ms",
-    "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s",
+    "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "seconds_elapsed": "s",
 }  # fmt: skip
 """Columns of loggers that are called by their unit alone, and are the time."""
 IGNORE = "ignore"

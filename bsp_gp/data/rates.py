@@ -6,6 +6,7 @@ accelerations what its accelerometer does.
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -27,6 +28,15 @@ from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
 _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
 _WHOLE = frozenset("absolute absolut abs magnitude betrag total norm tgf".split())
+_SENSORS = {
+    "m/s^2": frozenset("accelerometer acceleration".split()),
+    "rad/s": frozenset("gyroscope gyro gyroskop".split()),
+    "": frozenset("gravity magnetometer magnetic".split()),
+}
+"""Unit of what the x, y and z of a telephone's sensor are, and words by which it calls the file."""
+_OF_SENSORS = frozenset("total linear uncalibrated raw data sensor log".split())
+_OF_PHONES = "seconds_elapsed"
+"""A column that only loggers of telephones write."""
 PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
 ALIKE, LEAST_ALIKE = 0.95, 10
@@ -52,6 +62,7 @@ def from_rates(table, declaration):
     DataError
         Where several columns may be the velocity.
     """
+    table = _by_its_file(table, declaration)
     columns = set(map(str, table.frame.columns))
     has_clock = "t" in columns or "frame" in columns
     if not has_clock or (columns & PLACES and not _misnamed(table, declaration)):
@@ -68,6 +79,38 @@ def from_rates(table, declaration):
             table = _with_errors(table, found) if velocity == VELOCITIES else table
             return summed(table, declaration, _rates(table, declaration, found, velocity))
     return table, declaration
+
+
+def _by_its_file(table, declaration):
+    """The table with x, y, z without a unit as what a sensor shows, where the file is called so.
+
+    Raises
+    ------
+    DataError
+        If the sensor says nothing of a motion.
+    """
+    name = re.sub(r"([a-z])([A-Z])", r"\1 \2", Path(table.file or "").stem)
+    words = set(re.findall(r"[a-z]+", name.lower())) - _OF_SENSORS
+    unit = next((unit for unit, known in _SENSORS.items() if words and words <= known), None)
+    said = {*"xyz"} & {*declaration.columns, *declaration.units, *table.units}
+    if unit is None or said or not {*"xyz"} <= set(table.frame.columns):
+        return table
+    if unit:
+        note = f"the file is called {name!r}: x, y and z are taken as what it shows, in {unit}"
+        theirs = {f"shown {axis}": table.theirs.get(axis, axis) for axis in "xyz"}
+        return replace(
+            table, frame=table.frame.rename(columns={axis: f"shown {axis}" for axis in "xyz"}),
+            units={**table.units, **dict.fromkeys(theirs, unit)}, unused={**table.unused, **theirs},
+            theirs={n: t for n, t in table.theirs.items() if n not in {*"xyz"}},
+            notes=(*table.notes, note),
+        )  # fmt: skip
+    if _OF_PHONES in table.present:
+        raise DataError(
+            f"x, y and z of a file that is called {name!r} are no places", file=table.file,
+            column="x", remedy="give what the accelerometer or the gyroscope has logged; if they "
+            "are places, say so: --columns x=x y=y z=z",
+        )  # fmt: skip
+    return table
 
 
 def _require_no_places(table, declaration, found):

@@ -16,7 +16,9 @@ from bsp_gp.data.stars import with_date_unit
 from bsp_gp.errors import DataError, in_python
 from bsp_gp.units import is_speed
 
-INSTRUMENTS = frozenset("tel telescope instrument inst instr spectrograph ins".split())
+INSTRUMENTS = frozenset(
+    "tel telescope instrument instrumentid inst instr spectrograph ins".split()
+)
 """Words of columns that say by what a velocity was measured: each has a zero of its own."""
 MOST_INSTRUMENTS, FEWEST = 12, 4
 """Instruments of one star, and rows of one that tell more than its zero."""

@@ -218,7 +218,6 @@ def test_a_header_of_numbers_as_pandas_writes_it_is_no_row(tmp_path):
     "lines",
     [
         rows(T, *[SURE] * 4),
-        rows(SURE, T),
         rows([0, 1, 1, *range(2, N - 1)], SURE),
         [*rows(T, SURE), "0.9,lost"],
         [*rows(T, SURE), "0.9,1,2"],

@@ -1,5 +1,7 @@
 """Tables as other programs and people write them: words, comments, clocks, and what is no place."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -96,3 +98,67 @@ def test_a_velocity_beside_its_error_at_dates_is_one_along_the_line_of_sight(tmp
     assert data.velocity == "sight" and "'errvel' is taken as its error" in told(data)
     path = written(tmp_path / "b.csv", "t,vel,errvel", T, 2 * T, 0.01 + 0 * T)
     assert load_dataset(path).velocity == "only"
+
+
+def test_arrays_of_times_bodies_and_axes(tmp_path):
+    tracks = np.stack([np.stack([T + k, FALL, 0.1 * T], axis=1) for k in range(2)], axis=1)
+    names, mass = np.array(["Star", "Moon"]), np.array([1.0, 0.1])
+    np.savez(tmp_path / "a.npz", times=T, positions=tracks, names=names, masses=mass,
+             velocities=np.gradient(tracks, axis=0))  # fmt: skip
+    (scene,) = load_dataset(tmp_path / "a.npz").scenes
+    assert scene.names == ("Star", "Moon") and scene.positions.shape == (40, 2, 3)
+    np.testing.assert_array_equal(scene.positions, tracks)
+    np.savez(tmp_path / "b.npz", t=T, r=tracks.swapaxes(0, 1)[..., :2])
+    (scene,) = load_dataset(tmp_path / "b.npz").scenes
+    assert scene.names == ("body1", "body2") and scene.n_dims == 2
+    bodies = {name: tracks[:, k].tolist() for k, name in enumerate("AQ")}
+    content = {"times": T.tolist(), "bodies": bodies}
+    (tmp_path / "c.json").write_text(json.dumps(content), encoding="utf-8")
+    (scene,) = load_dataset(tmp_path / "c.json").scenes
+    assert scene.names == ("body A", "Q")
+    np.testing.assert_array_equal(scene.positions, tracks)
+
+
+def test_a_file_that_is_called_like_a_sensor_has_no_places(tmp_path):
+    shown = (0.1 * np.sin(9 * T), np.cos(9 * T), 0.1 * np.cos(9 * T))
+    path = written(tmp_path / "TotalAcceleration.csv", "seconds_elapsed,z,y,x", T, *shown)
+    data = load_dataset(path)
+    assert data.velocity == "unseen" and "in m/s^2" in told(data)
+    assert load_dataset(path, columns={"x": "x", "y": "y", "z": "z"}).velocity == "ignore"
+    path = written(tmp_path / "Magnetometer.csv", "seconds_elapsed,z,y,x", T, *shown)
+    with pytest.raises(DataError, match="are no places"):
+        load_dataset(path)
+
+
+def test_a_lone_row_at_the_time_of_the_one_before_is_left_out(tmp_path):
+    t, x = np.insert(0.05 * np.arange(200), 1, 0.0), np.sin(np.arange(201) / 9)
+    data = load_dataset(written(tmp_path / "a.csv", "t,x", t, x))
+    assert len(data.scenes[0].times) == 200 and "1 row(s) have a time" in told(data)
+
+
+def test_the_last_comment_names_the_columns_and_what_has_a_colon_is_none(tmp_path):
+    more = "# Telescopes: one, two, three\n# [2] Butler et al 2017\n#\n"
+    nights = 2451121.5 + np.arange(40) * 1.37
+    heading = f"{more}# Epoch[JD]  RV[m/s] RV_err[m/s] InstrumentID"
+    path = written(tmp_path / "a.txt", heading, nights, np.sin(T), 0 * T + 0.1, np.arange(40) % 2,
+                   mark=" ")  # fmt: skip
+    data = load_dataset(path)
+    assert data.velocity == "sight" and len(data.scenes) == 2
+    path = written(tmp_path / "b.txt", "# TF Frame ID: /openni", T, FALL, np.sin(T), *[T % 3] * 2,
+                   mark=" ")  # fmt: skip
+    with pytest.raises(DataError, match='columns={"t": "1", "x": "2"}'):
+        load_dataset(path)
+
+
+def test_without_a_header_the_column_that_increases_is_asked_for_as_the_time(tmp_path):
+    for name, columns, said in (
+        ("a", (np.sin(T), FALL, T), '"t": "3", "x": "1"'),
+        ("b", (T + T**2, T), '"t": "2", "x": "1"'),  # both increase, and one evenly
+        ("c", (T, 0 * T, 0 * T, np.sin(T), FALL), '"t": "1", "x": "4"'),
+        ("d", (2453602.6 + T, FALL, 0.1 + T / 9), '"t": "1", "x": "2", "sx": "3".*rv=2 srv=3'),
+    ):
+        path = written(tmp_path / f"{name}.csv", "", *columns)
+        with pytest.raises(DataError, match=said):
+            load_dataset(path)
+    data = load_dataset(written(tmp_path / "e.csv", "", T**2), columns={"ax": "1"}, fps=20)
+    assert data.velocity == "unseen"
