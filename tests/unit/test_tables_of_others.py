@@ -162,3 +162,24 @@ def test_without_a_header_the_column_that_increases_is_asked_for_as_the_time(tmp
             load_dataset(path)
     data = load_dataset(written(tmp_path / "e.csv", "", T**2), columns={"ax": "1"}, fps=20)
     assert data.velocity == "unseen"
+
+
+def test_headings_over_the_wrong_columns_are_told_by_the_one_that_is_a_clock(tmp_path):
+    path = written(tmp_path / "a.csv", "X,Y,t", T, np.cos(3 * T), FALL)
+    with pytest.raises(DataError, match='"t": "X", "x": "Y", "y": "t"'):
+        load_dataset(path)
+    data = load_dataset(path, columns={"t": "X", "x": "Y", "y": "t"})
+    np.testing.assert_allclose(data.scenes[0].positions[:, 0, 1], FALL, atol=1e-6)
+
+
+def test_no_rate_is_told_where_no_even_clock_fits(tmp_path):
+    times = np.append(np.arange(200) * 0.0101, 2.02 + np.arange(200) * 0.0025).round(2)
+    path = written(tmp_path / "a.csv", "t,x", times, np.sin(np.arange(400) / 9))
+    with pytest.raises(DataError, match=r"no even clock fits them.*from row 20\d on") as error:
+        load_dataset(path)
+    assert "fps=" not in str(error.value)
+
+
+def test_places_that_never_change_are_told(tmp_path):
+    data = load_dataset(written(tmp_path / "a.csv", "t,x,y", T, 0 * T, 0 * T))
+    assert "check: nothing moves" in told(data)
