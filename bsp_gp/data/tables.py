@@ -35,6 +35,7 @@ from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
+from bsp_gp.data.horizons import without_header
 from bsp_gp.data.logged import named_of
 from bsp_gp.data.meeting import without_meetings
 from bsp_gp.data.on_maps import from_maps
@@ -321,7 +322,7 @@ def _assemble(table, roster, declaration, default_name):
         table = with_properties_by_words(table, declaration.units)
         roster, table = roster_within(table, declaration.units)
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
-    table = _since_1970(table, declaration.units)
+    table = without_header(_since_1970(table, declaration.units), declaration)
     table = _dates_as_declared(table, declaration.units)
     table, declaration, is_star = read_stars(table, declaration)
     declaration = _with_their_names(table, declaration)

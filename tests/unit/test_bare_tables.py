@@ -113,7 +113,7 @@ def test_a_clock_without_a_name_needs_one(tmp_path):
         bsp_gp.load_dataset(path, fps=10)
 
 
-@pytest.mark.parametrize("names", [["a"] * 4 + ["b"] * 4, ["a", "b"] * 4])
+@pytest.mark.parametrize("names", [["a"] * 4 + ["b"] * 4, ["a", "b", "b", "a"] * 2])
 def test_rows_of_bodies_below_each_other_are_no_frames(tmp_path, names):
     path = table(tmp_path, "entity,x,y", *rows(names, *zip(*XY, strict=True)))
     with pytest.raises(DataError, match="no column 't'.*frame.*no frames one after another"):

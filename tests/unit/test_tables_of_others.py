@@ -183,3 +183,38 @@ def test_no_rate_is_told_where_no_even_clock_fits(tmp_path):
 def test_places_that_never_change_are_told(tmp_path):
     data = load_dataset(written(tmp_path / "a.csv", "t,x,y", T, 0 * T, 0 * T))
     assert "check: nothing moves" in told(data)
+
+
+def test_minutes_and_seconds_go_on_over_the_hour(tmp_path):
+    seconds = (3590 + 0.5 * np.arange(40)) % 3600
+    clock = [f"{at // 60:02.0f}:{at % 60:04.1f}" for at in seconds]
+    rows = [f"{at},{x}" for at, x in zip(clock, FALL, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["datetime,x", *rows]) + "\n", encoding="utf-8")
+    data = load_dataset(tmp_path / "a.csv")
+    np.testing.assert_allclose(data.scenes[0].times, 3590 + 0.5 * np.arange(40))
+    assert "seconds since the full hour" in told(data)
+
+
+def test_bodies_in_turn_without_a_clock_are_frames_round_by_round(tmp_path):
+    rows = [f"{who};{k + FALL[k]};{j}" for k in range(40) for j, who in enumerate(["sun", "moon"])]
+    text = "\n".join(["name; position x; position y", *rows]) + "\n"
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    data = load_dataset(tmp_path / "a.csv", fps=10)
+    assert data.scenes[0].names == ("sun", "moon") and len(data.scenes[0].times) == 40
+    assert "a frame each round" in told(data)
+    (tmp_path / "a.csv").write_text(text + "moon;1;1\nsun;2;0\n", encoding="utf-8")
+    with pytest.raises(DataError, match="column 't'"):
+        load_dataset(tmp_path / "a.csv", columns={"entity": "name"}, fps=10)
+
+
+@pytest.mark.parametrize(("second", "length"), [(86400.0, "km"), (1.0, "au")])
+def test_headings_of_horizons_alone_tell_the_units(tmp_path, second, length):
+    days = np.arange(40.0)
+    turn, size = days / 58, 1.5e8 if length == "km" else 1.0
+    x, y = size * np.cos(turn), size * np.sin(turn)
+    path = written(tmp_path / "a.csv", "JDTDB,Calendar Date (TDB),X,Y,Z,VX,VY,VZ", 2457944.5 + days,
+                   days, x, y, 0 * x, -y / 58 / second, x / 58 / second, 0 * x)  # fmt: skip
+    data = load_dataset(path)
+    assert data.units.declared["length"] == length and data.units.declared["time"] == "day"
+    assert "from which body places count" in told(data)
+    assert np.ptp(data.scenes[0].times) == pytest.approx(39 * 86400)
