@@ -218,3 +218,46 @@ def test_headings_of_horizons_alone_tell_the_units(tmp_path, second, length):
     assert data.units.declared["length"] == length and data.units.declared["time"] == "day"
     assert "from which body places count" in told(data)
     assert np.ptp(data.scenes[0].times) == pytest.approx(39 * 86400)
+
+
+def test_flights_of_gliders(tmp_path):
+    clock = ["235957", "235958", "235959", "000000", "000001", "000002"]
+    fixes = [f"B{at}4530{100 * k:03d}S00712000W{mark}02000{1000 + k:05d}"
+             for k, (at, mark) in enumerate(zip(clock, "AAVAAA", strict=True))]  # fmt: skip
+    path = tmp_path / "a.igc"
+    path.write_text("\n".join(["AXXX", "HFDTE010203", *fixes, "GAB"]) + "\n", encoding="utf-8")
+    data = load_dataset(path)
+    (scene,) = data.scenes
+    np.testing.assert_allclose(np.diff(scene.times), [1, 2, 1, 1])
+    np.testing.assert_allclose(scene.positions[:, 0, 2], [1000, 1001, 1003, 1004, 1005])
+    north = scene.positions[-1, 0, 1]  # half a minute of latitude to the south
+    assert north == pytest.approx(-0.5 * 1852, rel=2e-3) and "without a height" in told(data)
+
+
+def test_frames_of_particles(tmp_path):
+    def write(comment, wrap=9.0):
+        frames = [f"3\n{comment(k)}\nAr {(0.4 * k) % wrap} 0 1\nAr 1 {k * k} 2\nNe 2 1 0 extra\n"
+                  for k in range(20)]  # fmt: skip
+        path = tmp_path / "a.xyz"
+        path.write_text("".join(frames), encoding="utf-8")
+        return path
+
+    (scene,) = load_dataset(write(lambda k: f"Time= {0.5 * k} ps, E=1")).scenes
+    assert scene.names == ("Ar1", "Ar2", "Ne")
+    np.testing.assert_allclose(scene.times, 0.5e-12 * np.arange(20))
+    np.testing.assert_allclose(scene.positions[:, 1, 1], np.arange(20.0) ** 2)
+    data = load_dataset(write(lambda k: f"timestep = {10 * k}", wrap=2.0), dt=0.01)
+    np.testing.assert_allclose(data.scenes[0].times, 0.1 * np.arange(20))
+    with pytest.raises(DataError, match="how long a frame is"):
+        load_dataset(write(lambda k: ""))
+    path = tmp_path / "b.xyz"
+    path.write_text("2\n\nAr 0 0 0\nAr 1 1 1\n2\n\nAr 0 0 0\n", encoding="utf-8")
+    with pytest.raises(DataError, match="line 5: this is no frame"):
+        load_dataset(path, fps=1)
+
+
+@pytest.mark.parametrize(("name", "said"), [("a.labx", "CASSY Lab 2"), ("a.oem", "ephemeris")])
+def test_formats_of_other_programs_are_named(tmp_path, name, said):
+    (tmp_path / name).write_text("<x/>", encoding="utf-8")
+    with pytest.raises(DataError, match=f"not read; .*{said}"):
+        load_dataset(tmp_path / name)
