@@ -322,6 +322,12 @@ def is_error(text):
     return bool(words_of(text) & no_place)
 
 
+def is_rate_of(text):
+    """Whether a heading speaks of a speed, ``pendVel``, an acceleration, or an error."""
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
+    return is_error(words) or re.fullmatch(r"(?:.*[\W_])?[va][xyz]", text.lower()) is not None
+
+
 def is_doubt(text):
     """Whether a heading says how sure a place is, or in what state what measures it."""
     return bool(words_of(text) & _DOUBT_WORDS)
@@ -699,6 +705,8 @@ def _with_bodies(found):
     if any(h.name in ("x", "y") and h.sure < GUESS and not h.body for h in found):
         return found
     out = [_of_body(h) for h in found]
+    if any(h.is_renamed and h.body and h.name in _PLACES for h in out):  # they are the only ones
+        out = [h if h.is_renamed else old for h, old in zip(out, found, strict=True)]
     axes = {}
     for h in out:
         if h.body and h.name in "xyz":

@@ -58,8 +58,10 @@ def sighted(table):
 def _of_nights(table, texts):
     """The one speed beside its error or an instrument where times are those of nights; or ""."""
     errors = [t for t in texts.values() if any(_is_its_error(t, of) for of in texts.values())]
-    speeds = {name: text for name, text in texts.items()
-              if len(text) > 1 and is_own_speed(text) and text not in errors}  # fmt: skip
+    speeds = {
+        name: text for name, text in texts.items()
+        if len(text) > 1 and is_own_speed(text) and text not in errors and name not in table.renamed
+    }  # fmt: skip
     is_sure = any(words_of(text) & INSTRUMENTS for text in texts.values()) or any(
         _is_its_error(text, of) for of in speeds.values() for text in texts.values() if text != of
     )

@@ -494,6 +494,7 @@ def _with_their_names(table, declaration):
     used = [(name, theirs) for name, theirs in table.theirs.items() if name in table.frame]
     ours = {re.sub(r"\s*[\[(].*", "", theirs).strip(): name for name, theirs in used}
     taken = {*table.frame.columns, *KINDS}
+    ours = ours if "t" in taken or "time" in declaration.units else {**ours, "t": "time"}
     return dataclasses.replace(declaration, units={
         ours.get(name, name) if name not in taken else name: unit
         for name, unit in declaration.units.items()

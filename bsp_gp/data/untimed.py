@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.conversion import unit_of
-from bsp_gp.data.headings import GUESS, UNKNOWN, is_body
+from bsp_gp.data.headings import GUESS, UNKNOWN, is_body, is_rate_of
 from bsp_gp.units import Unit
 
 COUNTED = "there is no column of times: every row is taken as a frame"
@@ -39,7 +39,8 @@ def rows_as_frames(frame, found):
     names = [h.name for h in found]
     doubtful = [
         k for k, h in enumerate(found)
-        if h.sure == UNKNOWN and not (h.ignored or _is_measured(h)) and _may_order(frame[k])
+        if h.sure == UNKNOWN and not (h.ignored or _is_measured(h) or is_rate_of(h.name))
+        and _may_order(frame[k])
     ]  # fmt: skip
     if doubtful:
         return None, _remedy_of_doubt(doubtful, [found[k].theirs for k in doubtful])

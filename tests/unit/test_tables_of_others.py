@@ -261,3 +261,16 @@ def test_formats_of_other_programs_are_named(tmp_path, name, said):
     (tmp_path / name).write_text("<x/>", encoding="utf-8")
     with pytest.raises(DataError, match=f"not read; .*{said}"):
         load_dataset(tmp_path / name)
+
+
+def test_a_body_that_is_named_is_the_only_one(tmp_path):
+    path = written(tmp_path / "a.csv", "t,P (x),P (y),Q7 (x),Q7 (y)", T, T, FALL, T + 1, FALL)
+    data = load_dataset(path, columns={"head_x": "Q7 (x)", "head_y": "Q7 (y)"})
+    assert data.scenes[0].names == ("head",)
+
+
+def test_speeds_are_no_clock_and_frames_may_have_the_unit_of_times(tmp_path):
+    path = written(tmp_path / "a.csv", "x,y,next_vy,bobVel", T, FALL, T, 2 * T)
+    data = load_dataset(path, fps=20, units={"x": "cm", "t": "s"})
+    np.testing.assert_allclose(data.scenes[0].times, T)
+    assert data.units.declared["time"] == "s"
