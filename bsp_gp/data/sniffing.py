@@ -199,6 +199,11 @@ def _numbers(cells):
     return [float(cell.replace(",", ".").replace("\u2212", "-") or "nan") for cell in cells]
 
 
+def _steps(cells):
+    values = _numbers(cells)
+    return [late - early for early, late in zip(values, values[1:], strict=False)]
+
+
 def clock_among(columns):
     """Which of some columns of texts is the clock: it alone increases, or does so evenly; or None.
 
@@ -206,8 +211,7 @@ def clock_among(columns):
     """
     rising, even = [], []
     for k, cells in enumerate(columns):
-        values = _numbers(cells)
-        steps = [late - early for early, late in zip(values, values[1:], strict=False)]
+        steps = _steps(cells)
         if len(steps) < LEAST_STEPS or sum(step > 0 for step in steps) < RISES * len(steps):
             continue
         rising.append(k)
@@ -253,7 +257,7 @@ def _remedy_of_numbers(cells, lines, delimiter):
         by_number = ("--columns t=1 x=2 sx=3, or t=1 rv=2 srv=3 of velocities along the line of "
                      "sight (the third being their errors)")  # fmt: skip
     elif clock is not None:
-        moving = [k for k, own in enumerate(columns) if k != clock and len(set(own)) > 1]
+        moving = [k for k, own in enumerate(columns) if k != clock and {*_steps(own)} - {0.0, 1.0}]
         x = moving[0] if moving else 1 - min(clock, 1)
         pushes = " ".join(f"a{axis}={k + 1}" for axis, k in zip("xyz", moving, strict=False))
         by_number = (f"--columns t={clock + 1} x={x + 1} (column {clock + 1} increases from row to "

@@ -155,6 +155,7 @@ def test_without_a_header_the_column_that_increases_is_asked_for_as_the_time(tmp
         ("a", (np.sin(T), FALL, T), '"t": "3", "x": "1"'),
         ("b", (T + T**2, T), '"t": "2", "x": "1"'),  # both increase, and one evenly
         ("c", (T, 0 * T, 0 * T, np.sin(T), FALL), '"t": "1", "x": "4"'),
+        ("n", (np.arange(40), T, FALL, FALL, FALL), '"t": "2", "x": "3"'),
         ("d", (2453602.6 + T, FALL, 0.1 + T / 9), '"t": "1", "x": "2", "sx": "3".*rv=2 srv=3'),
     ):
         path = written(tmp_path / f"{name}.csv", "", *columns)
@@ -261,6 +262,9 @@ def test_formats_of_other_programs_are_named(tmp_path, name, said):
     (tmp_path / name).write_text("<x/>", encoding="utf-8")
     with pytest.raises(DataError, match=f"not read; .*{said}"):
         load_dataset(tmp_path / name)
+    (tmp_path / "b.txt").write_text("CCSDS_OEM_VERS = 2.0\nMETA_START\n", encoding="utf-8")
+    with pytest.raises(DataError, match=r"CCSDS OEM.*t,x,y,z"):
+        load_dataset(tmp_path / "b.txt")
 
 
 def test_a_body_that_is_named_is_the_only_one(tmp_path):
