@@ -30,6 +30,8 @@ MOST_ABOVE = 12
 LEAST_STEPS, RISES, ROUNDED = 4, 0.95, 2.01
 """Steps of a column that may be a clock, the part of them that goes up, and last digits by which
 those of an even one differ."""
+MOST_POWER = 300
+"""Of ten that a number can have."""
 MOST_SHOWN = 6
 """Cells of a row that a complaint shows."""
 _DELIMITERS = (",", ";", "\t", None)
@@ -227,7 +229,7 @@ def _last_digit(cells):
     numbers = [re.split("[eE]", cell.replace(",", ".")) for cell in cells]
     ends = [int(power[0] if power else 0) - len(whole.partition(".")[2])
             for whole, *power in numbers]  # fmt: skip
-    return 10.0 ** min(ends)
+    return 10.0 ** min(*ends, MOST_POWER)
 
 
 def _require_names_of_all(head, number, delimiter, cells, path):
@@ -247,7 +249,7 @@ def _remedy_of_numbers(cells, lines, delimiter):
     if len(cells) == 1:
         return (
             "a table has a column of times as well; of rows that are evenly spaced, say how many "
-            "there are in a second: --columns x=1 --fps 25 (of speeds, vx=1)"
+            "there are in a second: --columns x=1 --fps 25 (of speeds vx=1, of accelerations ax=1)"
         )
     remedy = "add a header such as t,x,y, or say which column is which by its number: "
     rows = [split_line(line, delimiter) for line in lines if line.strip()]
