@@ -393,7 +393,10 @@ def headings(cells, rename=None, *, is_track=True):
 
 
 def _with_glued_places(found):
-    """``px, py, pz`` as places, where no column is one by a plainer name: the first such set."""
+    """``px, py, pz`` as places, where no column is one by a plainer name: the first such set.
+
+    One letter before an axis is a place only if both x and y have it.
+    """
     if any(h.name in _PLACES for h in found):
         return found
     sets = {}
@@ -402,7 +405,8 @@ def _with_glued_places(found):
         if match and (not h.unit or unit_of(h.unit) == _LENGTH):
             word, axis = match[1] or match[4], match[2] or match[3]
             sets.setdefault(word.lower(), {})[axis.lower()] = h
-    axes = next((own for own in sets.values() if {"x", "y"} <= set(own)), {})
+    able = (own for word, own in sets.items() if len(word) > 1 or {"x", "y"} <= set(own))
+    axes = next(able, {})
     names = {id(h): axis for axis, h in axes.items()}
     return [replace(h, name=names[id(h)], sure=WORD) if id(h) in names else h for h in found]
 
@@ -705,8 +709,10 @@ def _with_bodies(found):
     if any(h.name in ("x", "y") and h.sure < GUESS and not h.body for h in found):
         return found
     out = [_of_body(h) for h in found]
-    if any(h.is_renamed and h.body and h.name in _PLACES for h in out):  # they are the only ones
-        out = [h if h.is_renamed else old for h, old in zip(out, found, strict=True)]
+    named = {h.body for h in out if h.is_renamed and h.body and h.name in _PLACES}
+    if named:  # they are the only ones
+        out = [h if h.is_renamed or h.body in named else old
+               for h, old in zip(out, found, strict=True)]  # fmt: skip
     axes = {}
     for h in out:
         if h.body and h.name in "xyz":

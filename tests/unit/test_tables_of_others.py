@@ -40,6 +40,12 @@ def test_places_in_one_word_are_no_reason_to_add_up_velocities(tmp_path, form):
     np.testing.assert_allclose(data.scenes[0].positions[:, 0, 1], FALL, atol=1e-6)
 
 
+def test_a_place_along_a_line_in_one_word(tmp_path):
+    data = load_dataset(written(tmp_path / "a.csv", "t,xpos,vx", T, FALL, 3 - 9.8 * T))
+    assert data.velocity == "ignore"
+    np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], FALL, atol=1e-6)
+
+
 def test_velocities_are_not_added_up_beside_the_places_under_another_name(tmp_path):
     path = written(tmp_path / "a.csv", "t,way1,vx", T, np.sin(T), np.cos(T))
     with pytest.raises(DataError, match="'way1' changes as they say.*columns={\"x\": \"way1\"}"):
