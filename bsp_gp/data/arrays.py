@@ -5,28 +5,51 @@ import io
 
 import numpy as np
 
+from bsp_gp.data.conversion import is_unit
+from bsp_gp.data.headings import is_error
 from bsp_gp.errors import DataError
 
 ENDINGS = (".mat", ".npz")
 _AXES = ("x", "y", "z")
 _REMEDY = "save vectors of one length: t, x, y (and others), or a table as CSV"
-_TIMES = ("time", "t", "tout")
+_TIMES = ("time", "t", "tout", "times")
+MOST_SIDE_BY_SIDE, MOST_BODIES = 12, 1000
+"""Columns of a matrix, and bodies of an array (times, bodies, axes)."""
 
 
 def as_table(path):
     """The longest set of vectors of one length in a file as text with tabs, and notes.
 
     What is nested has the names of what it is in before it, and what Simulink logs with its time
-    is a column of its own name. A matrix of as many rows is a column for each of its own.
+    is a column of its own name. A matrix of as many rows is a column for each of its own, and an
+    array (times, bodies, axes) one for each axis of a body.
 
     Raises
     ------
     DataError
         If the file cannot be read, or has no two vectors of one length.
     """
-    columns = {}
-    for name, value in _variables(path).items():
-        _put(columns, name, value)
+    table, others = longest(_variables(path), path)
+    out = io.StringIO()
+    writer = csv.writer(out, delimiter="\t", lineterminator="\n")
+    writer.writerow(table)
+    writer.writerows(zip(*(v.tolist() for v in table.values()), strict=True))
+    most = len(next(iter(table.values())))
+    note = f"of {path.name} vectors of {most:,} numbers are read, not {', '.join(others[:8])}"
+    return out.getvalue(), (note,) if others else ()
+
+
+def longest(variables, path):
+    """The longest set of vectors of one length, by name, and the names of others with theirs.
+
+    Raises
+    ------
+    DataError
+        If no two vectors have one length.
+    """
+    columns, labels = {}, _labels(variables)
+    for name, value in variables.items():
+        _put(columns, name, value, labels)
     sizes = {len(v) for v in columns.values()}
     most = max(sizes, key=lambda n: (sum(len(v) == n for v in columns.values()), n), default=0)
     table = {name: v for name, v in columns.items() if len(v) == most}
@@ -35,14 +58,18 @@ def as_table(path):
         raise DataError(
             f"no two vectors have one length; there are {told or 'none'}", file=path, remedy=_REMEDY
         )
-    table = _with_one_clock(table)
-    out = io.StringIO()
-    writer = csv.writer(out, delimiter="\t", lineterminator="\n")
-    writer.writerow(table)
-    writer.writerows(zip(*(v.tolist() for v in table.values()), strict=True))
     others = [f"{n} ({len(v)})" for n, v in columns.items() if len(v) != most]
-    note = f"of {path.name} vectors of {most:,} numbers are read, not {', '.join(others[:8])}"
-    return out.getvalue(), (note,) if others else ()
+    return _with_one_clock(table), others
+
+
+def _labels(variables):
+    """Names of bodies by how many they are: of the lists of texts."""
+    lists = (np.atleast_1d(np.squeeze(value)) for value in variables.values()
+             if isinstance(value, np.ndarray) and value.dtype.kind in "UO")  # fmt: skip
+    return {
+        len(texts): [str(text).strip() for text in texts.tolist()] for texts in lists
+        if texts.ndim == 1 and all(isinstance(text, str) for text in texts.tolist())
+    }  # fmt: skip
 
 
 def _variables(path):
@@ -63,23 +90,45 @@ def _variables(path):
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
-def _put(columns, name, value):
-    """Add the vectors of a value to columns, by name."""
+def _put(columns, name, value, labels):
+    """Add the vectors of a value to columns, by name; `labels` are names of so many bodies."""
     if isinstance(value, dict) and isinstance(value.get("signals"), dict) and "time" in value:
-        _put(columns, f"{name}_time", value["time"])  # a structure with time, of Simulink
-        _put(columns, name, value["signals"].get("values"))
+        _put(columns, f"{name}_time", value["time"], labels)  # a structure with time, of Simulink
+        _put(columns, name, value["signals"].get("values"), labels)
     elif isinstance(value, dict):
+        are_tracks = len(value) > 1 and all(np.ndim(own) == 2 for own in value.values())
         for key, own in value.items():
-            _put(columns, f"{name}_{key}" if name else key, own)
+            key = _body(key) if are_tracks else f"{name}_{key}" if name else key
+            _put(columns, key, own, labels)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu":
         value = np.squeeze(value)
-        if value.ndim == 2 and min(value.shape) <= 12:
+        if value.ndim == 3:
+            _put_bodies(columns, name, value, labels)
+        elif value.ndim == 2 and min(value.shape) <= MOST_SIDE_BY_SIDE:
             value = value if value.shape[0] >= value.shape[1] else value.T
             is_place = 2 <= value.shape[1] <= len(_AXES)
             for k, own in enumerate(value.T):
                 columns[f"{name}_{_AXES[k] if is_place else k + 1}"] = own
         elif value.ndim == 1 and len(value) > 1:
             columns[name] = value
+
+
+def _put_bodies(columns, name, value, labels):
+    """Add the axes of bodies, (times, bodies, axes) or (bodies, times, axes)."""
+    value = value if value.shape[0] >= value.shape[1] else np.swapaxes(value, 0, 1)
+    _, count, n_axes = value.shape
+    if not 2 <= n_axes <= len(_AXES) or count > MOST_BODIES:
+        return
+    names = labels.get(count, [f"body{k + 1}" for k in range(count)])
+    for k, body in enumerate(map(_body, names)):
+        is_first = f"{body}_x" not in columns and not is_error(name)
+        for axis, own in zip(_AXES, value[:, k].T, strict=False):
+            columns[f"{body}_{axis}" if is_first else f"{body}_{name}_{axis}"] = own
+
+
+def _body(name):
+    """The name of a body, told from a unit: ``A_x`` may be anything."""
+    return f"body {name}" if is_unit(name) else name
 
 
 def _with_one_clock(table):

@@ -17,6 +17,7 @@ from bsp_gp.data.headings import (
     is_error,
     is_no_place,
     is_rate,
+    numbered_places,
 )
 from bsp_gp.data.logged import logged_columns
 from bsp_gp.data.property_columns import quoted
@@ -30,6 +31,8 @@ from bsp_gp.data.roster import (
     vector_stems,
 )
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, SUMS, Entity, FirstState, Scene
+from bsp_gp.data.steps import LEAST_ROUNDED, LEAST_TIES
+from bsp_gp.data.twice import MOST_SLIPS
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
 
@@ -110,6 +113,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
     axes, line_notes = axes_of(table, declaration)
     table, foot_notes = _without_timeless_ends(table)
     table, gap_notes = _without_gaps(table)
+    _require_right_clock(table, axes)
     known = [axis for axis in axes if axis in table.frame.columns]
     still = np.zeros(len(table.frame))
     positions = [_numbers(table, a) * conversion.length(a) if a in known else still for a in axes]
@@ -260,7 +264,8 @@ def axes_of(table, declaration):
     _refuse_rates(table, declaration, axes)
     _require_clock(table, declaration)
     if axes not in (["x"], ["y"]):
-        require_columns(table, ["x", "y"] if {"t", "frame"} & set(columns) else ["t", "x"])
+        needed = ["x", "y"] if {"t", "frame"} & set(columns) else ["t", "x"]
+        require_columns(table, needed, numbered_places(table.present or columns))
         return axes, ()
     other = "y" if axes == ["x"] else "x"
     angle = declaration.units.get("length", table.units.get(axes[0], ""))
@@ -300,6 +305,38 @@ def _require_clock(table, declaration):
             f"there is no column 't'; present are {', '.join(table.present)}",
             file=table.file, column="t", remedy=table.untimed,
         )  # fmt: skip
+
+
+EVEN = 0.1
+"""Part of the usual step by which those of a clock differ."""
+
+
+def _require_right_clock(table, axes):
+    """DataError where times go back again and again, and what is read as a place is a clock."""
+    columns = set(map(str, table.frame.columns))
+    if "t" not in columns or {"scene", "entity"} & columns:
+        return
+    times = np.diff(numbers_of(table, "t"))
+    if (times <= 0).mean() <= MOST_SLIPS or not len(times):
+        return
+    clock = next((axis for axis in axes if axis in columns and _is_clock(table, axis)), None)
+    if clock is None:
+        return
+    order = [name for name in table.frame.columns if name in ("t", *axes) and name != clock]
+    named = zip(("t", *"xyz"), (clock, *order), strict=False)
+    options = " ".join(f"{ours}={quoted(table.theirs.get(own, own))}" for ours, own in named)
+    theirs = [table.theirs.get(name, name) for name in ("t", clock)]
+    raise DataError(
+        f"times ({theirs[0]!r}) go back, and {theirs[1]!r} increases evenly from row to row",
+        file=table.file, column="t", remedy=f"if that is the time, say so: --columns {options}",
+    )  # fmt: skip
+
+
+def _is_clock(table, column):
+    """Whether a column increases by nearly the same from row to row."""
+    steps = np.diff(numbers_of(table, column))
+    return len(steps) >= LEAST_MARKED and bool((np.abs(steps - np.median(steps))
+                                                < EVEN * np.median(steps)).all())  # fmt: skip
 
 
 _SYMBOLS = frozenset("aAvVfF")
@@ -496,10 +533,20 @@ SLOWEST = 0.1
 
 
 def _of_rounded(times):
-    """What to do where times in order may be those of frames, rounded; empty of others."""
+    """What to do where times in order may be those of frames, rounded; empty of others.
+
+    Where many share a time, an even clock was tried and does not fit: a mean rate would be wrong.
+    """
     steps = np.diff(times)
     if (steps < 0).any() or (steps == 0).mean() > 0.5:
         return ""
+    ties = np.flatnonzero(steps == 0)
+    if len(ties) >= LEAST_TIES and len(times) >= LEAST_ROUNDED:
+        return (
+            "; if times were rounded: no even clock fits them, so the rate changes or frames are "
+            f"lost, and no --fps tells it; cut the table (rows share times from row {ties[0] + 2} "
+            "on), or record times with more digits"
+        )
     rate = len(steps) / (times[-1] - times[0])
     remedy = (
         "; if times were rounded and every row is a frame, leave their column out, --columns "

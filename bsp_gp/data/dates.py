@@ -29,6 +29,9 @@ _TURNED = re.compile(r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d\d:\d\d(\.\d+)?")
 _ERA = r"^(?:A\.?D\.?|C\.?E\.?)\s+(?=\d)"
 """Before a year of ours: ``A.D. 2025-Jul-01 00:00:00.0000``, as Horizons writes it."""
 _CLOCK = re.compile(r"(\d{1,3}):(\d\d):(\d\d(?:[.,]\d+)?)")
+_MINUTES = re.compile(r"(\d{1,3}):(\d\d[.,]\d+)")
+"""``38:05.6``, as spreadsheets show a time of the day with parts of a second; ``12:30`` is none."""
+HOUR = 3600.0
 
 
 EARLIEST, DAY = 1.0e9, 86_400.0
@@ -68,7 +71,7 @@ def seconds_of(cells):
     seconds : ndarray
         Since `start`; nan where there is none.
     start : str
-        The first of the dates, or "midnight".
+        The first of the dates, "midnight", or "the full hour".
     """
     is_known = cells.notna().to_numpy()
     known = cells[is_known]
@@ -80,6 +83,9 @@ def seconds_of(cells):
         if clock.all():
             parts = known.str.replace(",", ".").str.split(":", expand=True).astype(float)
             return _spread(is_known, parts.to_numpy() @ [3600.0, 60.0, 1.0]), "midnight"
+        if known.str.fullmatch(_MINUTES.pattern).all():
+            parts = known.str.replace(",", ".").str.split(":", expand=True).astype(float)
+            return _spread(is_known, _over_hours(parts.to_numpy() @ [60.0, 1.0])), "the full hour"
         if known.str.fullmatch(_TURNED.pattern).all():
             known = _either_way(known)
             if known is None:
@@ -94,6 +100,11 @@ def seconds_of(cells):
     start = known.min()
     seconds = (known - start) / pd.Timedelta(seconds=1)
     return _spread(is_known, seconds.to_numpy(dtype=float)), f"{start:%Y-%m-%d %H:%M:%S}"
+
+
+def _over_hours(seconds):
+    """Seconds of the hour that go on where another hour begins."""
+    return seconds + HOUR * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -HOUR / 2)
 
 
 def _either_way(cells):

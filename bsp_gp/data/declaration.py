@@ -161,12 +161,19 @@ _BODY_ANGLE = re.compile(r"(\w+)_(?:theta|phi|angle)")
 
 
 def _our_keys(columns):
-    """Columns under our keys: a lone angle is the coordinate x, each of several that of a body."""
+    """Columns under our keys; what is left out keeps its name, which is one of the file's."""
+    kept = {key: theirs for key, theirs in columns.items() if theirs.strip() != IGNORE}
+    ours = dict(zip(kept, _named_as_ours(kept), strict=True))
+    return {ours.get(key, key): theirs for key, theirs in columns.items()}
+
+
+def _named_as_ours(columns):
+    """Our keys: a lone angle is the coordinate x, each of several that of a body."""
     columns = {
         _KEYS[key] if key in _KEYS and _KEYS[key] not in columns else key: theirs
         for key, theirs in columns.items()
     }
-    angles = [k for k, theirs in columns.items() if is_angle_name(k) and theirs != IGNORE]
+    angles = [key for key in columns if is_angle_name(key)]
     if {"x", "y", "r", "distance", "separation"} & set(columns):
         return columns
     columns = {_BODY_ANGLE.sub(r"\1_x", key): theirs for key, theirs in columns.items()}

@@ -31,7 +31,7 @@ from bsp_gp.data.polar import POLAR_COLUMNS
 from bsp_gp.data.sniffing import DELIMITER_NAMES, sniff, split_line
 from bsp_gp.data.sources import open_source
 from bsp_gp.data.steps import with_even_clocks, with_sums_of_steps
-from bsp_gp.data.untimed import COUNTED, rows_as_frames
+from bsp_gp.data.untimed import COUNTED, IN_TURN, rows_as_frames, with_bodies_in_turn
 from bsp_gp.data.wide import as_recordings, groups_of, stack
 from bsp_gp.errors import DataError
 
@@ -156,8 +156,10 @@ def long_table(
         frame, dates, dated = _without_dates(frame, [h.name for h in found])
         notes = (*notes, *steps, *dates)
         names = {h.name for h in found}
-        has_motion = has_place(found) or names & {"vx", "vy", "vz"}
+        rates = {f"{kind}{axis}" for kind in "va" for axis in "xyz"}
+        has_motion = has_place(found) or names & rates
         if not {"t", "frame"} & names and has_motion:
+            found = found if groups else with_bodies_in_turn(frame, found)
             frames, untimed = rows_as_frames(frame, found)
     names = [h.name for h in found]
     if groups:
@@ -175,7 +177,7 @@ def long_table(
         frame = frame[kept].set_axis([names[k] for k in kept], axis=1)
     if frames is not None:
         frame = frame.assign(frame=frames[frame.index].to_numpy())
-        notes = (*notes, COUNTED)
+        notes = (*notes, IN_TURN if "entity" in names and not groups else COUNTED)
     is_named = {"entity", "scene"} & set(frame.columns)
     if title and any(h.name == "t" and h.sure != LITERAL for h in found) and not run_of(title):
         title = ""  # of Tracker it is the name of the mass; of others, anything

@@ -1,7 +1,8 @@
-"""Files of receivers of satellites as plain tables: GPX, TCX, tracks of KML, sentences of NMEA.
+"""Files of receivers of satellites as plain tables: GPX, TCX, KML, IGC, sentences of NMEA.
 
 Elements are those of the published schemas (GPX 1.1 of Topografix, TrainingCenterDatabase v2 of
-Garmin, ``gx:Track`` of KML). Every unbroken piece of a track is a run where there are several.
+Garmin, ``gx:Track`` of KML), records those of the flight recorders of the FAI (IGC). Every unbroken
+piece of a track is a run where there are several.
 """
 
 import re
@@ -11,13 +12,22 @@ from xml.etree import ElementTree
 from bsp_gp.errors import DataError
 
 ENDINGS = (".gpx", ".tcx", ".kml")
+OF_GLIDERS = ".igc"
 NMEA = ("$GP", "$GN", "$GL", "$GA", "$P")
 """How sentences of receivers begin, and those of devices among them ("$P")."""
 _HEADER = ("run", "t (s)", "latitude", "longitude", "altitude (m)")
+DAY = 86_400.0
 _REMEDY = "export the track with times, as GPX or as a table with times, latitudes and longitudes"
 _SENTENCE = re.compile(r"\$G[PNLA](RMC|GGA|GLL),([^*\n]*)")
 _FIELDS = {"RMC": (0, 2, None), "GGA": (0, 1, 8), "GLL": (4, 0, None)}
 """Where sentences have the time of the day, the latitude (and the longitude), the altitude."""
+
+
+_FIX = re.compile(
+    r"B(\d\d)(\d\d)(\d\d)(\d\d)(\d{5})([NS])(\d{3})(\d{5})([EW])([AV])(-\d{4}|\d{5})(-\d{4}|\d{5})"
+)
+"""A fix of a flight recorder: time of the day, latitude and longitude in degrees and thousandths of
+minutes, whether the height is one of satellites (A), pressure altitude and height of these, m."""
 
 
 def of_xml(text, path):
@@ -55,7 +65,7 @@ def of_nmea(text, path):
             continue
         clock = float(cells[at])
         seconds = clock // 10_000 * 3600 + clock % 10_000 // 100 * 60 + clock % 100
-        day += 86_400.0 if last is not None and seconds < last - 43_200 else 0.0
+        day += DAY if last is not None and seconds < last - DAY / 2 else 0.0
         last = seconds
         lat, north, lon, east = cells[place : place + 4]
         height = cells[above] if above else ""
@@ -65,6 +75,32 @@ def of_nmea(text, path):
     if not fixes:
         raise DataError("no sentence has a time and a place", file=path, remedy=_REMEDY)
     return _table([("1", f"{t:.9g}", *fix) for t, fix in fixes.items()])
+
+
+def of_igc(text, path):
+    """The fixes of a flight recorder as text with tabs, the header first, and notes.
+
+    Heights are those of satellites, or of the pressure where most fixes have none of these.
+    """
+    found = [fix.groups() for line in text.splitlines() if (fix := _FIX.match(line.strip()))]
+    if not found:
+        raise DataError("no record B says a time and a place", file=path, remedy=_REMEDY)
+    whole = [fix for fix in found if fix[9] == "A" and int(fix[11])]
+    has_heights = 2 * len(whole) > len(found)
+    fixes, day, last = {}, 0.0, 0
+    for fix in whole if has_heights else found:
+        seconds = 3600 * int(fix[0]) + 60 * int(fix[1]) + int(fix[2])
+        day += DAY if seconds < last - DAY / 2 else 0.0
+        last = seconds
+        lat, lon = (int(fix[k]) + int(fix[k + 1]) / 60_000 for k in (3, 6))
+        lat, lon = lat * (-1) ** (fix[5] == "S"), lon * (-1) ** (fix[8] == "W")
+        height = fix[11 if has_heights else 10]
+        fixes.setdefault(day + seconds, (f"{lat:.7f}", f"{lon:.7f}", str(int(height))))
+    out, notes = _table([("1", f"{t:.9g}", *fix) for t, fix in fixes.items()])
+    if not has_heights:
+        return out, (*notes, "heights are those of the pressure: few fixes have one of satellites")
+    lost = len(found) - len(whole)
+    return out, (*notes, *((f"fixes without a height are left out: {lost}",) if lost else ()))
 
 
 def _table(rows):

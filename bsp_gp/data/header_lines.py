@@ -4,6 +4,8 @@ import csv
 import re
 
 COMMENT = re.compile(r"^\ufeff?[#%]\s*")
+_SENTENCE = re.compile(r"^\ufeff?[#%]+\s*[^\W\d][\w ]*:(?:\s|$)")
+"""A comment that says something, ``# Instruments: Keck, Lick``: no names of columns."""
 _RULE = re.compile(r"\s*[-=]+(?:[\s|+]+[-=]+)*\s*")
 _MOST_IN_RULES = 12
 """Lines between two rules that may be names of columns."""
@@ -22,6 +24,11 @@ def split_line(line, delimiter):
 def is_rule(line):
     """Whether a line is drawn, and no names: ``-------- ----``."""
     return bool(line.strip()) and _RULE.fullmatch(line) is not None and len(line.strip()) > 1
+
+
+def is_sentence(line):
+    """Whether a comment says something with a colon, and names no columns."""
+    return _SENTENCE.match(line) is not None
 
 
 def below(head, number):

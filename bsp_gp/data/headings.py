@@ -51,6 +51,10 @@ _AFTER_LAST_MARK = re.compile(_AFTER_MARK.pattern.replace(".+?", ".+", 1))
 _PATH = re.compile(r"[a-zA-Z]\w{2,}(?:\.[a-zA-Z]\w{2,})+")
 _SUBSCRIPT = re.compile(r"_\{([^{}]+)\}")
 """``x_{mass A}``, as Tracker and TeX write it."""
+_TEX = re.compile(r"\$|\\(?=[A-Za-z])")
+"""What TeX has around a name: ``$\\theta$``."""
+_AXIS_IN_BRACKETS = re.compile(r"(.*\w)\s*[(\[]\s*([xyz])\s*[)\]](.*)", re.IGNORECASE)
+"""``LFHD (x)``: no unit is called so."""
 _RUN = rf"(?:data ?set|latest|latest run|{'|'.join(sorted(words_for('run') - {'take'}))})"
 _RUN_NAME = re.compile(rf"{_RUN}\s*(?:#|nr\.?|no\.?)?\s*\d+")
 _RUN_BEFORE = re.compile(r"([^:\d][^:]*?)\s*:\s*(\S.*)")
@@ -59,6 +63,14 @@ _RUN_AFTER = re.compile(rf"(.*[^\s,;(])[\s,;]+\(?({_RUN_NAME.pattern})\)?(\s*[(\
 _BODY_BEFORE = re.compile(r"(.*[^\s_.:-])[\s_.:-]+([vs]?[xyz]|t)", re.IGNORECASE)
 _UNGLUED = re.compile(r"^([xyzXYZ])([a-zA-Z]{3,})$")
 """``Xearth``: a body behind its axis."""
+_CAMEL = re.compile(r"(\w*[a-z0-9])([A-Z][a-z]+)")
+"""``cartPos``."""
+_COUNTED = re.compile(r"([^\W\d_]+)[\s_.-]?\d+")
+"""``pos1``."""
+_GLUED_PLACE = re.compile(
+    r"(pos(?:ition)?|coord|loc|p|c|t)([xyz])|([xyz])(pos(?:ition)?|coord|loc)", re.IGNORECASE
+)
+"""A place in one word, ``px`` of robots, ``cx`` of centres, ``tx`` of translations, ``xpos``."""
 _LABELLED = re.compile(r"(.+?)[\s_.:-]+([xyz])[\s_.-]+([^\W\d]+)", re.IGNORECASE)
 """A body, its axis, and what of it: ``Objekt 1 x-Koordinate``."""
 _BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECASE)
@@ -90,7 +102,7 @@ _WHOSE_SPEED_WORDS = word_set(
 )
 _OTHER_WORDS = word_set(
     "gyroscope gyro magnetic field force kraft rotation angular omega winkel angle torque"
-    " drehmoment throttle pwm duty setpoint"
+    " drehmoment throttle pwm duty setpoint rate rates cmd command desired"
 )
 _TURN_WORDS = word_set("orientation quaternion quat rotation attitude angular")
 """``pose.orientation.x`` is no place."""
@@ -129,7 +141,7 @@ _BESIDE_WORDS = word_set(
 """What is logged beside a motion, and is no place."""
 _PROCESSED_WORDS = word_set(
     "raw smooth smoothed filtered filter pixel pixels px image screen offset min max mean average"
-    " center centre target roh geglättet origin scale old new"
+    " center centre target roh geglättet origin scale old new next previous prev"
 )
 """Of one body's places a second time."""
 _BODY_WORDS = word_set(
@@ -149,11 +161,14 @@ _OF_LOGGERS = word_set(
     "filtered smoothed agl msl asl baro barometric gps gnss estimated est approx aprox"
 )
 """Words beside those of a place or a time that change nothing."""
+_OF_VEHICLES = word_set("lat latitude lon lng long longitude roll yaw heading")
+_COURSES = word_set("track pitch")
+"""Beside one of those before: where a vehicle goes and how it is turned, no body and no throw."""
 _CLOCKS = word_set("utc utcg utcj gmt tdb tai tt iso lt local cet cest")
 """Of which clock a time is: ``Time (UTCG)``."""
 _CLOCK_UNITS = {
     "ms": "ms", "msec": "ms", "millis": "ms", "millis()": "ms", "milliseconds": "ms",
-    "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s",
+    "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "seconds_elapsed": "s",
 }  # fmt: skip
 """Columns of loggers that are called by their unit alone, and are the time."""
 IGNORE = "ignore"
@@ -307,6 +322,12 @@ def is_error(text):
     return bool(words_of(text) & no_place)
 
 
+def is_rate_of(text):
+    """Whether a heading speaks of a speed, ``pendVel``, an acceleration, or an error."""
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", text)
+    return is_error(words) or re.fullmatch(r"(?:.*[\W_])?[va][xyz]", text.lower()) is not None
+
+
 def is_doubt(text):
     """Whether a heading says how sure a place is, or in what state what measures it."""
     return bool(words_of(text) & _DOUBT_WORDS)
@@ -355,19 +376,50 @@ def headings(cells, rename=None, *, is_track=True):
     is_track : bool
         Whether it is a table of positions, in which words may be guessed.
     """
-    cells = [str(cell).strip().strip('"').strip() for cell in cells]
+    cells = [_TEX.sub("", str(cell).strip().strip('"').strip()) for cell in cells]
     ignored = [k.strip() for k, v in (rename or {}).items() if is_ignored(v, cells)]
-    back = {v.strip(): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()
+    back = {_TEX.sub("", v.strip()): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()
             if k.strip() not in ignored}  # fmt: skip
     back = _of_every_run(back) if is_track else back
     found = [_read(cell, back, is_track, ignored) for cell in cells]
     if is_track:
         found = _without_sensors(_as_said(found))
-        found = _with_angles(_with_polar_errors(_turned(_with_bodies(found))))
+        found = _with_glued_places(_with_bodies(found))
+        found = _with_angles(_with_polar_errors(_turned(found)))
         found = _with_dates(found)
-        found = [_guessed(h, {f.name for f in found}) for h in found]
+        found = _without_courses([_guessed(h, {f.name for f in found}) for h in found])
         found = _with_errors(_with_clock(found))
     return tuple(_settled(found))
+
+
+def _with_glued_places(found):
+    """``px, py, pz`` as places, where no column is one by a plainer name: the first such set.
+
+    One letter before an axis is a place only if both x and y have it.
+    """
+    if any(h.name in _PLACES for h in found):
+        return found
+    sets = {}
+    for h in found:
+        match = _GLUED_PLACE.fullmatch(h.name) if h.sure == UNKNOWN and not h.ignored else None
+        if match and (not h.unit or unit_of(h.unit) == _LENGTH):
+            word, axis = match[1] or match[4], match[2] or match[3]
+            sets.setdefault(word.lower(), {})[axis.lower()] = h
+    able = (own for word, own in sets.items() if len(word) > 1 or {"x", "y"} <= set(own))
+    axes = next(able, {})
+    names = {id(h): axis for axis, h in axes.items()}
+    return [replace(h, name=names[id(h)], sure=WORD) if id(h) in names else h for h in found]
+
+
+def _without_courses(found):
+    """Of a vehicle ``track`` is where it goes, and ``pitch`` how it is turned."""
+    if not any(words_of(h.theirs) & _OF_VEHICLES for h in found):
+        return found
+    return [
+        replace(h, name=h.stem, sure=UNKNOWN)
+        if h.name in TEXT_COLUMNS and not h.is_renamed and folded(h.stem) in _COURSES else h
+        for h in found
+    ]
 
 
 def _as_said(found):
@@ -446,7 +498,8 @@ def _read(cell, back, is_track, ignored=()):
     run, rest = _run_of(plain) if is_track else ("", plain)
     if cell in back:
         run, rest = "", rest if is_run(run) else cell
-    rest = rest if rest in back else _SUBSCRIPT.sub(r" \1", rest)
+    if rest not in back:
+        rest = _AXIS_IN_BRACKETS.sub(r"\1 \2\3", _SUBSCRIPT.sub(r" \1", rest))
     stem, unit = _split_unit(rest, back, is_track)
     unit = "g" if not unit and _G_FORCE.fullmatch(stem) else unit
     bare = re.sub(r"\s*[(\[{<].*$", "", rest)  # before what is no unit that we know
@@ -656,6 +709,10 @@ def _with_bodies(found):
     if any(h.name in ("x", "y") and h.sure < GUESS and not h.body for h in found):
         return found
     out = [_of_body(h) for h in found]
+    named = {h.body for h in out if h.is_renamed and h.body and h.name in _PLACES}
+    if named:  # they are the only ones
+        out = [h if h.is_renamed or h.body in named else old
+               for h, old in zip(out, found, strict=True)]  # fmt: skip
     axes = {}
     for h in out:
         if h.body and h.name in "xyz":
@@ -725,6 +782,12 @@ def bodies_beside(table_columns, units):
         if h.body and h.name in "xyz" and not words_of(h.body) & _PROCESSED_WORDS:
             out.setdefault(h.body, {})[h.name] = theirs
     return {body: axes for body, axes in out.items() if {"x", "y"} <= set(axes)}
+
+
+def numbered_places(texts):
+    """Headings ``x1, x2`` or ``pos1, pos2``: two coordinates of one body, or of two on a line."""
+    found = {text: _COUNTED.fullmatch(text.strip()) for text in texts}
+    return [t for t, of in found.items() if of and folded(of[1]) in _PLACE_WORDS | {"x"}]
 
 
 def _with_angles(found):
@@ -800,7 +863,13 @@ def _of_body(heading):
 
 
 def _without_place_words(text):
-    """``Objekt 1 x-Koordinate`` as ``Objekt 1 x``, and ``ball x velocity`` as ``ball vx``."""
+    """``Objekt 1 x-Koordinate`` as ``Objekt 1 x``, and ``ball x velocity`` as ``ball vx``.
+
+    A place in one word with whose it is, ``cartPos``, is that along a line.
+    """
+    match = _CAMEL.fullmatch(text)
+    if match and folded(match[2]) in _PLACE_WORDS:
+        return f"{match[1]} x"
     match = _LABELLED.fullmatch(text)
     if not match or not re.search(r"\w", match[1]):
         return text

@@ -8,9 +8,14 @@ longitude, latitude and distance.
 
 import math
 import re
+from dataclasses import replace
 from datetime import datetime, timedelta
 
-from bsp_gp.errors import DataError
+import numpy as np
+
+from bsp_gp.data.roster import numbers_of
+from bsp_gp.data.scene import CHECK
+from bsp_gp.errors import DataError, in_python
 
 BEGIN, END = "$$SOE", "$$EOE"
 _VECTORS = ("JDTDB", "VX", "VY", "VZ", "X", "Y", "Z")
@@ -74,6 +79,57 @@ def _centre(above):
     site = re.search(r"Center-site name:\s*(.*?)\s*$", above, re.M)
     is_body = name is not None and site is not None and "barycent" not in name[1].lower()
     return name[1] if is_body and site[1].upper() in ("BODY CENTER", "BODYCENTRIC") else ""
+
+
+_DAY, _FAR = 86_400.0, 1e4
+"""Seconds of a day, and au beyond which nobody asks for the places of bodies."""
+
+
+def without_header(table, declaration):
+    """The units of a vector table that has kept Horizons' headings and lost all above them.
+
+    Days are those of its dates; whether places are in km or au, and velocities per second or per
+    day, is told by their steps.
+
+    Parameters
+    ----------
+    table : Table
+    declaration : Declaration
+        Units that it gives are not asked for.
+    """
+    is_own = any(text.startswith("Calendar Date") for text in table.unused.values())
+    if table.theirs.get("t", "").upper() != "JDTDB" or not is_own or "x" not in table.frame:
+        return table
+    length, speed = _by_steps(table) if "vx" in table.frame else ("", "")
+    units = {"t": "day"} | {a: length for a in "xyz" if length} | {
+        f"v{a}": speed for a in "xyz" if speed
+    }  # fmt: skip
+    said, known = declaration.units, {**table.units}
+    for name, unit in units.items():
+        if name in table.frame and not {name, "time" if name == "t" else "length"} & set(said):
+            known.setdefault(name, unit)
+    told = f"places in {length} and velocities in {speed}, by their steps" if length else (
+        "the unit of places is not known: --units length=km (or au)"
+    )  # fmt: skip
+    notes = (
+        f"headings are those of JPL Horizons: times in days, {told}",
+        f"{CHECK}the file does not say from which body places count: a pull of that body is one "
+        "towards the origin; the whole output of Horizons, as it is, says which it is",
+    )
+    return replace(table, units=known, notes=(*table.notes, *map(in_python, notes)))
+
+
+def _by_steps(table):
+    """Units of places and velocities; "" where steps and velocities do not agree in any."""
+    times, place, speed = (numbers_of(table, name) for name in ("t", "x", "vx"))
+    gone = np.diff(place) / np.diff(times)
+    ratio = float(np.nanmedian(np.abs(gone)) / np.nanmedian(np.abs(speed)))
+    if abs(ratio / _DAY - 1) < 0.5:
+        return "km", "km/s"
+    if abs(ratio - 1) < 0.5:
+        length = "au" if float(np.nanmax(np.abs(place))) < _FAR else "km"
+        return length, f"{length}/day"
+    return "", ""
 
 
 def _unnamed(lines):

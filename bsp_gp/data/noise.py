@@ -21,6 +21,9 @@ _TOLERANCE = 1.0
 _MIN_GRID_VALUES = 6
 _MIN_GRID_STEP = 1e4
 """Smallest step that counts as a grid, in roundings of the largest value."""
+_LARGE = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99)
+"""Parts of the values that are smaller than those whose own grid is asked for: numbers that were
+printed to as many digits each (``%g``) are the coarser the larger they are."""
 _MIN_ROUGH = 0.25
 """Part of the moving windows of a rounded track whose third difference is not zero, at least."""
 
@@ -104,7 +107,8 @@ def estimate_noise(data):
     times the weights of the divided difference are used). The scale is robust, so contacts do
     not matter; k runs from 2 to 8 and the first order after which the estimate no longer falls
     significantly is taken. Rounding is not white where a track moves slowly, so positions on a
-    grid (whole pixels, few decimals) are never more accurate than its step / sqrt(12).
+    grid (whole pixels, few decimals) are never more accurate than its step / sqrt(12),
+    that of the larger ones where all have as many digits.
 
     Parameters
     ----------
@@ -262,7 +266,40 @@ def _grid_steps(tracks):
     """
     own = [_grid_step(axis) for axis in tracks]
     seen = [s for s, axis in zip(own, tracks, strict=True) if s and _is_rough(axis, s)]
-    return [next((s for s in seen if step and _is_multiple(step, s)), 0.0) for step in own]
+    whole = [next((s for s in seen if step and _is_multiple(step, s)), 0.0) for step in own]
+    large = [_step_of_large(axis, step) for axis, step in zip(tracks, own, strict=True)]
+    return list(map(max, whole, large))
+
+
+def _step_of_large(tracks, step):
+    """Step of the grid that the larger values lie on, where it is coarser by digits; else 0.0.
+
+    A value is never more accurate than its last digit, and one sigma counts for all.
+
+    Parameters
+    ----------
+    step : float
+        Of the grid of all values; 0.0 where that is finer than can be told.
+    """
+    values, best = np.abs(np.concatenate([np.empty(0), *(x for _, x in tracks)])), 0.0
+    for part in _LARGE if len(values) else ():
+        pieces = _of_size(tracks, np.quantile(values, part))
+        own = _grid_step(pieces)
+        digits = math.log10(own / step) if own and step else 1.0
+        is_coarser = own > 0 and digits > 0.5 and abs(digits - round(digits)) < 1e-3
+        if is_coarser and _is_rough(pieces, own):
+            best = max(best, own)
+    return best
+
+
+def _of_size(tracks, least):
+    """Stretches of tracks in which all values are of a size or more."""
+    pieces = []
+    for times, x in tracks:
+        ends = np.flatnonzero(np.diff(np.abs(x) >= least)) + 1
+        cut = zip(np.split(times, ends), np.split(x, ends), strict=True)
+        pieces += [(t, own) for t, own in cut if abs(own[0]) >= least]
+    return pieces
 
 
 def _is_multiple(step, of):

@@ -188,6 +188,13 @@ def _cassy(text, path):
     return f"{header}\n{text[found.end() :].lstrip()}"
 
 
+def _ephemeris_message(text, path):
+    raise DataError(
+        "an orbit ephemeris message (CCSDS OEM) is not read", file=path,
+        remedy="write its rows (epoch, X, Y, Z in km) as a table with the header t,x,y,z",
+    )  # fmt: skip
+
+
 _MEASURE = (slice(7, 18), slice(18, 26), slice(26, 33), slice(33, 44), slice(44, 53))
 """Where a line of the Washington catalogue has date, angle, its error, separation, its error."""
 _MEASURED = ("Besselian epoch", "theta (deg)", "theta_err", "rho (arcsec)", "rho_err")
@@ -221,7 +228,8 @@ def _washington(text, path):
 _KNOWN = {
     "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
     "NO_OF_FRAMES": _qualisys, "FILE_VERSION": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy,
-    "LabVIEW Measurement": _labview, "USNO Double Star": _washington,
+    "CCSDS_OEM_VERS": _ephemeris_message, "LabVIEW Measurement": _labview,
+    "USNO Double Star": _washington,
     'comment,"OptiTrack Export': _tracking_tools, **dict.fromkeys(NMEA, of_nmea),
     **dict.fromkeys(
         ("API", "Ephemeris", "JPL", "{", "*" * 10, "@ " + "*" * 8, "# " + "*" * 8), plain_horizons

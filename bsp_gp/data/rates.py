@@ -6,6 +6,7 @@ accelerations what its accelerometer does.
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -27,8 +28,20 @@ from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
 _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
 _WHOLE = frozenset("absolute absolut abs magnitude betrag total norm tgf".split())
+_SENSORS = {
+    "m/s^2": frozenset("accelerometer acceleration".split()),
+    "rad/s": frozenset("gyroscope gyro gyroskop".split()),
+    "": frozenset("gravity magnetometer magnetic".split()),
+}
+"""Unit of what the x, y and z of a telephone's sensor are, and words by which it calls the file."""
+_OF_SENSORS = frozenset("total linear uncalibrated raw data sensor log".split())
+_OF_PHONES = "seconds_elapsed"
+"""A column that only loggers of telephones write."""
 PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
+ALIKE, LEAST_ALIKE = 0.95, 10
+"""Correlation of the steps of a column and of what a velocity foresees, and rows of it, from which
+that column is its place."""
 LONE = 0.1
 """Part of the variance of a gyroscope's axis that the others may have, if all turns about it; of
 an accelerometer's, if all moves along it."""
@@ -49,6 +62,7 @@ def from_rates(table, declaration):
     DataError
         Where several columns may be the velocity.
     """
+    table = _by_its_file(table, declaration)
     columns = set(map(str, table.frame.columns))
     has_clock = "t" in columns or "frame" in columns
     if not has_clock or (columns & PLACES and not _misnamed(table, declaration)):
@@ -60,10 +74,77 @@ def from_rates(table, declaration):
     for velocity, of_kind in ((VELOCITIES, _velocities), (ACCELERATIONS, _accelerations)):
         found = of_kind(table, declaration)
         if found:
+            _require_no_places(table, declaration, found if velocity == VELOCITIES else {})
             table = _without(table, set(_misnamed(table, declaration)) - set(found.values()))
             table = _with_errors(table, found) if velocity == VELOCITIES else table
             return summed(table, declaration, _rates(table, declaration, found, velocity))
     return table, declaration
+
+
+def _by_its_file(table, declaration):
+    """The table with x, y, z without a unit as what a sensor shows, where the file is called so.
+
+    Raises
+    ------
+    DataError
+        If the sensor says nothing of a motion.
+    """
+    name = re.sub(r"([a-z])([A-Z])", r"\1 \2", Path(table.file or "").stem)
+    words = set(re.findall(r"[a-z]+", name.lower())) - _OF_SENSORS
+    unit = next((unit for unit, known in _SENSORS.items() if words and words <= known), None)
+    said = {*"xyz"} & {*declaration.columns, *declaration.units, *table.units}
+    if unit is None or said or not {*"xyz"} <= set(table.frame.columns):
+        return table
+    if unit:
+        note = f"the file is called {name!r}: x, y and z are taken as what it shows, in {unit}"
+        theirs = {f"shown {axis}": table.theirs.get(axis, axis) for axis in "xyz"}
+        return replace(
+            table, frame=table.frame.rename(columns={axis: f"shown {axis}" for axis in "xyz"}),
+            units={**table.units, **dict.fromkeys(theirs, unit)}, unused={**table.unused, **theirs},
+            theirs={n: t for n, t in table.theirs.items() if n not in {*"xyz"}},
+            notes=(*table.notes, note),
+        )  # fmt: skip
+    if _OF_PHONES in table.present:
+        raise DataError(
+            f"x, y and z of a file that is called {name!r} are no places", file=table.file,
+            column="x", remedy="give what the accelerometer or the gyroscope has logged; if they "
+            "are places, say so: --columns x=x y=y z=z",
+        )  # fmt: skip
+    return table
+
+
+def _require_no_places(table, declaration, found):
+    """DataError where a column under another name changes from row to row as a velocity says."""
+    columns, said = set(table.frame.columns), {f"v{axis}" for axis in found}
+    if "t" not in columns or {"scene", "entity"} & columns or said & set(declaration.columns):
+        return
+    steps, places = np.diff(numbers_of(table, "t")), {}
+    others = [n for n in table.unused if n in columns and not table.units.get(n)]
+    for axis, column in found.items():
+        speed = numbers_of(table, column)
+        gone = (speed[1:] + speed[:-1]) / 2 * steps
+        alike = {n: _likeness(np.diff(numbers_of(table, n)), gone) for n in others
+                 if n != column and pd.api.types.is_numeric_dtype(table.frame[n])}  # fmt: skip
+        best = max(alike, key=alike.get, default="")
+        if best and alike[best] > ALIKE:
+            places[axis] = table.unused[best]
+    if places:
+        options = " ".join(f'{axis}="{text}"' for axis, text in places.items())
+        raise DataError(
+            f"there are velocities, and {', '.join(map(repr, places.values()))} changes as they "
+            "say: these are the places", file=table.file, column=next(iter(places)),
+            remedy=f"name them: --columns {options}; or leave them out: "
+            f'--columns "{next(iter(places.values()))}"=ignore',
+        )  # fmt: skip
+
+
+def _likeness(one, other):
+    """Correlation of two columns where both are known; 0 of few rows, or where one is constant."""
+    known = np.isfinite(one) & np.isfinite(other)
+    one, other = one[known], other[known]
+    if len(one) < LEAST_ALIKE or not (np.ptp(one) > 0 and np.ptp(other) > 0):
+        return 0.0
+    return float(np.corrcoef(one, other)[0, 1])
 
 
 def _without(table, columns):

@@ -4,6 +4,9 @@ import csv
 import io
 import json
 
+import numpy as np
+
+from bsp_gp.data.arrays import longest
 from bsp_gp.errors import DataError
 
 ENDINGS = (".json", ".jsonl", ".ndjson")
@@ -63,10 +66,27 @@ def _records(text, path):
         sizes = {len(value) for value in found.values()} if len(lists) == len(found) else set()
         if len(sizes) == 1:
             return [dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)]
-        found = [found]
+        found = _of_arrays(found, path) or [found]
     if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
         raise DataError("this JSON is no table", file=path, remedy=_REMEDY)
     return found
+
+
+def _of_arrays(found, path):
+    """Rows of an object with lists of numbers for times and for tracks, as NumPy saves them; []."""
+    try:
+        columns, _ = longest(_as_arrays(found), path)
+    except (DataError, ValueError):
+        return []
+    rows = zip(*(own.tolist() for own in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in rows] if "t" in columns else []
+
+
+def _as_arrays(value):
+    """The same with arrays for lists; ValueError for lists of unequal length."""
+    if isinstance(value, dict):
+        return {name: _as_arrays(own) for name, own in value.items()}
+    return np.array(value) if isinstance(value, list) else value
 
 
 def _records_within(found):

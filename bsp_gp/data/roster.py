@@ -61,14 +61,15 @@ def fail_at(table, problem, k, column, remedy=None):
     raise DataError(problem, file=table.file, row=line, column=column, remedy=remedy)
 
 
-def require_columns(table, needed):
-    """Complain about the first column that is missing."""
+def require_columns(table, needed, along=()):
+    """Complain about the first column that is missing; `along` may be places of several bodies."""
     missing = [column for column in needed if column not in table.frame.columns]
     if missing:
         present = table.present or tuple(map(str, table.frame.columns))
         options = " ".join(f'{column}="..."' for column in missing)
         if "x" in missing:
-            options += ' (of bodies side by side, BODY_x="..." OTHER_x="...")'
+            named = [*along, '"..."', '"..."']
+            options += f" (of bodies side by side, BODY_x={named[0]} OTHER_x={named[1]})"
         is_data = sum(_is_number(cell) for cell in present) >= len(present) / 2
         strange = "".join(f"; {h!r} has no unit that is known" for h in present if _is_strange(h))
         raise DataError(

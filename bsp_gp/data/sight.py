@@ -9,18 +9,24 @@ from dataclasses import replace
 
 import pandas as pd
 
-from bsp_gp.data.headings import RADIAL_NAMES, is_doubt, is_error_of, words_of
+from bsp_gp.data.extent import JULIAN
+from bsp_gp.data.headings import RADIAL_NAMES, is_doubt, is_error_of, is_own_speed, words_of
 from bsp_gp.data.scene import CHECK, SIGHT
 from bsp_gp.data.stars import with_date_unit
 from bsp_gp.errors import DataError, in_python
 from bsp_gp.units import is_speed
 
-INSTRUMENTS = frozenset("tel telescope instrument inst instr spectrograph ins".split())
+INSTRUMENTS = frozenset(
+    "tel telescope instrument instrumentid inst instr spectrograph ins".split()
+)
 """Words of columns that say by what a velocity was measured: each has a zero of its own."""
 MOST_INSTRUMENTS, FEWEST = 12, 4
 """Instruments of one star, and rows of one that tell more than its zero."""
 SIGHT_NAMES = ("rv", "srv")
 """How a caller names velocities along the line of sight, and their errors."""
+LEAST_DATE, UNEVEN = 1000.0, 3.0
+"""Days that Julian dates count from a later zero, at the least; upper quartile of the steps between
+nights, in their lower one, at the least."""
 _ERRORS = frozenset("errvel velerr svrad sigrv rverr errrv erv urv rvunc drv".split())
 
 
@@ -46,7 +52,33 @@ def sighted(table):
             f"several columns may be velocities along the line of sight: {listed}",
             file=table.file, column=name, remedy=f'say which is meant: --columns rv="{text}"',
         )  # fmt: skip
-    return next(iter(found), "")
+    return next(iter(found), "") or _of_nights(table, texts)
+
+
+def _of_nights(table, texts):
+    """The one speed beside its error or an instrument where times are those of nights; or ""."""
+    errors = [t for t in texts.values() if any(_is_its_error(t, of) for of in texts.values())]
+    speeds = {
+        name: text for name, text in texts.items()
+        if len(text) > 1 and is_own_speed(text) and text not in errors and name not in table.renamed
+    }  # fmt: skip
+    is_sure = any(words_of(text) & INSTRUMENTS for text in texts.values()) or any(
+        _is_its_error(text, of) for of in speeds.values() for text in texts.values() if text != of
+    )
+    return next(iter(speeds)) if len(speeds) == 1 and is_sure and _are_nights(table) else ""
+
+
+def _are_nights(table):
+    """Whether times are Julian dates, whatever they count from, of nights and not of a clock."""
+    times = table.frame.get("t")
+    if times is None or not pd.api.types.is_numeric_dtype(times) or len(times) < FEWEST:
+        return False
+    if table.is_dated or table.units.get("t", "day").lower() not in ("d", "day", "days", "jd"):
+        return False
+    if times.between(*JULIAN).all():
+        return True
+    low, high = times.diff().quantile([0.25, 0.75])
+    return bool(times.min() >= LEAST_DATE and high > UNEVEN * low)
 
 
 def is_of_sight(heading):

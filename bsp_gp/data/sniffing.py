@@ -4,11 +4,13 @@ import re
 from dataclasses import dataclass
 
 from bsp_gp.data.conversion import is_unit
+from bsp_gp.data.extent import JULIAN, are_within
 from bsp_gp.data.header_lines import (
     COMMENT,
     below,
     header_cells,
     is_rule,
+    is_sentence,
     names_in,
     ruled_names,
     split_line,
@@ -25,6 +27,11 @@ from bsp_gp.errors import DataError, in_python
 
 MOST_ABOVE = 12
 """Lines of a title above rows without headings."""
+LEAST_STEPS, RISES, ROUNDED = 4, 0.95, 2.01
+"""Steps of a column that may be a clock, the part of them that goes up, and last digits by which
+those of an even one differ."""
+MOST_POWER = 300
+"""Of ten that a number can have."""
 MOST_SHOWN = 6
 """Cells of a row that a complaint shows."""
 _DELIMITERS = (",", ";", "\t", None)
@@ -105,7 +112,7 @@ def sniff(head, rename, marks, path):
         raise DataError(
             f"the first line holds {n_numbers} number(s) where the names of the columns are "
             "expected",
-            file=path, row=number + 1, remedy=_remedy_of_numbers(cells),
+            file=path, row=number + 1, remedy=_remedy_of_numbers(cells, head[number:], delimiter),
         )  # fmt: skip
     return _finish(head, number, delimiter, headings(cells, rename, is_track=is_track))
 
@@ -126,7 +133,8 @@ def _without_header(head, rename):
         first = filled[n_above]
         rows, delimiter = _rows_of_numbers(lines[n_above:], said - names)
     numbers = [str(k + 1) for k in range(len(rows[0]))] if rows else []
-    named = {} if said or any(map(COMMENT.match, head)) else _named_by_place(rows, rename)
+    is_headed = any(COMMENT.match(line) and not is_sentence(line) for line in head)
+    named = {} if said or is_headed else _named_by_place(rows, rename)
     if not named and not (said and said <= set(numbers)):
         return None
     options = " ".join(f"{name}={number}" for name, number in named.items())
@@ -178,11 +186,50 @@ def _named_by_place(rows, rename):
         return {}
     columns = {str(k + 1): cells for k, cells in enumerate(zip(*rows, strict=True))}
     kept = [n for n in columns if any(columns[n]) and not is_ignored(rename.get(n, ""), columns)]
-    times = [float(cell.replace(",", ".") or "nan") for cell in columns[kept[0]]] if kept else []
+    times = _numbers(columns[kept[0]]) if kept else []
     is_timed = all(early < late for early, late in zip(times, times[1:], strict=False))
     if not 2 <= len(kept) <= 4 or not is_timed or _are_places(rows[0]):
         return {}
+    if are_within(times[0], times[-1], (JULIAN,)):
+        return {}  # what stands beside dates is asked for
+    if clock_among([columns[n] for n in kept]) not in (0, None):
+        return {}  # asked for
     return dict(zip("txyz", kept, strict=False))
+
+
+def _numbers(cells):
+    return [float(cell.replace(",", ".").replace("\u2212", "-") or "nan") for cell in cells]
+
+
+def _steps(cells):
+    values = _numbers(cells)
+    return [late - early for early, late in zip(values, values[1:], strict=False)]
+
+
+def clock_among(columns):
+    """Which of some columns of texts is the clock: it alone increases, or does so evenly; or None.
+
+    What counts rows is one only where nothing else increases.
+    """
+    rising, even = [], []
+    for k, cells in enumerate(columns):
+        steps = _steps(cells)
+        if len(steps) < LEAST_STEPS or sum(step > 0 for step in steps) < RISES * len(steps):
+            continue
+        rising.append(k)
+        is_count = all(step == 1 for step in steps)
+        if not is_count and max(steps) - min(steps) <= ROUNDED * _last_digit(cells):
+            even.append(k)
+    found = even or rising
+    return found[0] if len(found) == 1 else None
+
+
+def _last_digit(cells):
+    """Size of the last digit of the numbers that are written to the most places."""
+    numbers = [re.split("[eE]", cell.replace(",", ".")) for cell in cells]
+    ends = [int(power[0] if power else 0) - len(whole.partition(".")[2])
+            for whole, *power in numbers]  # fmt: skip
+    return 10.0 ** min(*ends, MOST_POWER)
 
 
 def _require_names_of_all(head, number, delimiter, cells, path):
@@ -198,18 +245,36 @@ def _require_names_of_all(head, number, delimiter, cells, path):
         )  # fmt: skip
 
 
-def _remedy_of_numbers(cells):
+def _remedy_of_numbers(cells, lines, delimiter):
     if len(cells) == 1:
         return (
             "a table has a column of times as well; of rows that are evenly spaced, say how many "
-            "there are in a second: --columns x=1 --fps 25 (of speeds, vx=1)"
+            "there are in a second: --columns x=1 --fps 25 (of speeds vx=1, of accelerations ax=1)"
         )
     remedy = "add a header such as t,x,y, or say which column is which by its number: "
-    by_number = "--columns t=1 x=2 (t=2 x=3 where the first counts rows or bodies"
-    by_number += "; t=1 ax=2 ay=3 az=4 of accelerations)" if len(cells) > 3 else ")"
+    rows = [split_line(line, delimiter) for line in lines if line.strip()]
+    columns = list(zip(*(row for row in rows if _is_of_numbers(row, len(cells))), strict=True))
+    clock = clock_among(columns)
+    if columns and are_within(*_numbers([columns[0][0], columns[0][-1]]), (JULIAN,)):
+        by_number = ("--columns t=1 x=2 sx=3, or t=1 rv=2 srv=3 of velocities along the line of "
+                     "sight (the third being their errors)")  # fmt: skip
+    elif clock is not None:
+        moving = [k for k, own in enumerate(columns) if k != clock and {*_steps(own)} - {0.0, 1.0}]
+        x = moving[0] if moving else 1 - min(clock, 1)
+        pushes = " ".join(f"a{axis}={k + 1}" for axis, k in zip("xyz", moving, strict=False))
+        by_number = (f"--columns t={clock + 1} x={x + 1} (column {clock + 1} increases from row to "
+                     f"row; y=, z= of further axes; t={clock + 1} {pushes} of accelerations)")
+    else:
+        by_number = "--columns t=1 x=2 (t=2 x=3 where the first counts rows or bodies"
+        by_number += "; t=1 ax=2 ay=3 az=4 of accelerations)" if len(cells) > 3 else ")"
     if _are_places(cells):
         by_number += ", if that line is a row; if it numbers the columns itself, --columns t=0 x=1"
     return remedy + by_number
+
+
+def _is_of_numbers(row, count):
+    """Whether a row has so many cells, all of them numbers or empty."""
+    return len(row) == count and all(_is_number(cell or "0") for cell in row)
 
 
 def _are_places(cells):
@@ -239,9 +304,12 @@ def _without_idle_end(head, number, delimiter, cells):
 def _likely_header(head):
     """Number and delimiter of the line above the first row of numbers, else of the first line.
 
-    Titles that are padded to the length of the rows are no names.
+    Titles that are padded to the length of the rows are no names. Of comments above the rows the
+    last one that has as many words as these have cells is it.
     """
-    for number in range(len(head) - 1):
+    first = next((k for k, s in enumerate(head) if s.strip() and not COMMENT.match(s)), len(head))
+    comments = [k for k in reversed(range(first)) if not is_sentence(head[k])]
+    for number in [*comments, *range(first, len(head) - 1)]:
         for delimiter in _DELIMITERS:
             cells = names_in(head, number, delimiter)
             row = split_line(below(head, number), delimiter)
@@ -250,7 +318,8 @@ def _likely_header(head):
             if is_row and any(row) and is_named:
                 is_of_units = all(_BRACKETS.fullmatch(cell) for cell in cells if cell)
                 return (number - 1 if is_of_units and number else number), delimiter
-    first = number = next(k for k, line in enumerate(head) if line.strip())
+    filled = [k for k, line in enumerate(head) if line.strip()]
+    first = number = next((k for k in filled if not is_sentence(head[k])), filled[0])
     counts = {mark: len(split_line(head[number], mark)) for mark in _DELIMITERS}
     marked = [mark for mark in _DELIMITERS[:-1] if counts[mark] > 1]
     delimiter = max(marked or _DELIMITERS, key=counts.get)

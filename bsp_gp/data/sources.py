@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bsp_gp.data import arrays, gps
+from bsp_gp.data import arrays, gps, molecules
 from bsp_gp.data.headings import is_run
 from bsp_gp.data.notes import listed
 from bsp_gp.data.preambles import HEADS, without_preamble
@@ -31,6 +31,8 @@ _OWN_FORMATS = {
     ".cap": "a file of Capstone; there, choose File > Export Data",
     ".spklab": "a file of SPARKvue; there, choose Export Data",
     ".phyphox": "an experiment of phyphox; there, choose Export Data > CSV",
+    ".labx": "a file of CASSY Lab 2; there, choose File > Export as a text (.txt)",
+    ".oem": "an orbit ephemeris message; write its rows as a table with the header t,x,y,z",
 }
 """What other programs keep for themselves, and how to get a table out of them."""
 _ENCODINGS = ("cp1252", "cp1250", "cp1251", "gb18030", "big5", "shift_jis", "euc_kr", "cp1253",
@@ -166,6 +168,12 @@ def open_source(path, names=()):
     if path.suffix.lower() in gps.ENDINGS:
         with source.open() as stream:
             return _made(source, *gps.of_xml(stream.read(), path))
+    if path.suffix.lower() == gps.OF_GLIDERS:
+        with source.open() as stream:
+            return _made(source, *gps.of_igc(stream.read(), path))
+    if path.suffix.lower() in molecules.ENDINGS and molecules.is_of_frames(source.head(3)):
+        with source.open() as stream:
+            return _made(source, *molecules.of_xyz(stream.read(), path))
     if path.suffix.lower() in RECORDS or _begins_as_records(source):
         with source.open() as stream:
             return _made(source, as_table(stream.read(), path))

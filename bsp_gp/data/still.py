@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.scene import CHECK
+from bsp_gp.errors import in_python
 
 FEWEST_ROWS = 5
 JITTER = 2.0
@@ -28,16 +29,22 @@ def held_still(scenes, free=()):
         Bodies that nothing holds: of the sky, with known masses. A heavy one hardly moves; that it
         does shows in the others' periods. One without any jitter is where places count from.
     """
-    still = {}
+    still, moves = {}, False
     for scene in scenes:
         spans = {k: _span(scene.positions[:, k]) for k in scene.dynamic}
         longest = max(spans.values(), default=0.0)
+        moves |= longest > 0 or not spans
         for k in scene.dynamic:
             is_still = _is_still(scene.positions[:, k], longest)
             name = scene.names[k]
             is_still &= name not in free or not spans[k]
             still[name] = still.get(name, True) and is_still
     names = [name for name, is_still in still.items() if is_still]
+    if not moves:
+        return tuple(scenes), (in_python(
+            f"{CHECK}nothing moves: all places are the same in all rows; if other columns have the "
+            "places, say which: --columns x=NAME y=NAME"
+        ),)  # fmt: skip
     if not names or len(names) == len(still):
         return tuple(scenes), ()
     told = ", ".join(names[:5]) + (", …" if len(names) > 5 else "")

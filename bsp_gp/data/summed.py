@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import spsolve
 
 from bsp_gp.data.gravity import GRAVITY, OFF, is_without, pull_in, told_off, told_turned
-from bsp_gp.data.point_errors import gross_errors
+from bsp_gp.data.point_errors import FAR, gross_errors
 from bsp_gp.data.roster import fail_at, numbers_of
 from bsp_gp.data.scene import SUMS
 from bsp_gp.data.twice import MOST_SLIPS
@@ -267,8 +267,18 @@ def _are_common(table, times, good):
 
 
 def _are_far(times, values):
-    """Rows (n,) whose values (n, d) are far off their neighbours: places would jump there."""
-    return gross_errors(times, values, _roughness(values)) > 1
+    """Rows (n,) whose values (n, d) are far off their neighbours: places would jump there.
+
+    What is shaken for a while is as rough about them: that is its motion, and no error.
+    """
+    noise = _roughness(values)
+    off = gross_errors(times, values, noise)
+    if not (off > 1).any():
+        return off > 1
+    bends = np.abs(np.pad(np.diff(values, 4, axis=0), ((2, 2), (0, 0)), mode="edge"))
+    about = ndimage.median_filter(bends, (2 * NEIGHBOURS + 1, 1), mode="nearest")
+    rougher = (1.4826 * about / np.sqrt(70) / np.maximum(noise, np.finfo(float).tiny)).max(axis=1)
+    return (off > 1) & (off > FAR * rougher)
 
 
 def _roughness(values):

@@ -35,6 +35,7 @@ from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
 from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
+from bsp_gp.data.horizons import without_header
 from bsp_gp.data.logged import named_of
 from bsp_gp.data.meeting import without_meetings
 from bsp_gp.data.on_maps import from_maps
@@ -321,7 +322,7 @@ def _assemble(table, roster, declaration, default_name):
         table = with_properties_by_words(table, declaration.units)
         roster, table = roster_within(table, declaration.units)
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
-    table = _since_1970(table, declaration.units)
+    table = without_header(_since_1970(table, declaration.units), declaration)
     table = _dates_as_declared(table, declaration.units)
     table, declaration, is_star = read_stars(table, declaration)
     declaration = _with_their_names(table, declaration)
@@ -472,7 +473,8 @@ def _left_out_bodies(table, inputs):
 
     It is one of those that `with_properties` tells again where a body is missed.
     """
-    unused = {name: theirs for name, theirs in table.unused.items() if name not in inputs}
+    taken = {*inputs, *table.renamed}  # or left out by the caller
+    unused = {name: theirs for name, theirs in table.unused.items() if name not in taken}
     found = bodies_beside(unused, table.units) if "entity" not in table.frame.columns else {}
     if not found:
         return []
@@ -492,6 +494,7 @@ def _with_their_names(table, declaration):
     used = [(name, theirs) for name, theirs in table.theirs.items() if name in table.frame]
     ours = {re.sub(r"\s*[\[(].*", "", theirs).strip(): name for name, theirs in used}
     taken = {*table.frame.columns, *KINDS}
+    ours = ours if "t" in taken or "time" in declaration.units else {**ours, "t": "time"}
     return dataclasses.replace(declaration, units={
         ours.get(name, name) if name not in taken else name: unit
         for name, unit in declaration.units.items()

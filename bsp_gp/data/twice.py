@@ -69,15 +69,15 @@ def without_copies(rows):
 def without_slips(rows):
     """Rows without the few whose time is not after all before of their body, and a note of these.
 
-    Clocks of loggers step back at times; what begins anew is another recording, and rows that only
-    share a time were rounded, or are of two bodies.
+    Clocks of loggers step back at times, or show one twice; what begins anew is another recording,
+    and where more rows share a time they were rounded, or are of two bodies.
     """
     key = rows.scene * len(rows.entity_names) + rows.entity
     times = pd.Series(rows.times)
     before = times.groupby(key).cummax().groupby(key).shift()
-    is_late, goes_back = times <= before, (times < before).groupby(key).transform("any")
+    is_late = times <= before
     is_few = is_late.groupby(key).transform("mean") <= MOST_SLIPS
-    is_slip = (is_late & is_few & goes_back).to_numpy()
+    is_slip = (is_late & is_few).to_numpy()
     if not is_slip.any():
         return rows, ()
     return _left_out(rows, is_slip, "have a time that is not after those before")
@@ -85,7 +85,8 @@ def without_slips(rows):
 
 def _left_out(rows, is_out, what):
     lines = rows.lines[is_out]
-    note = f"{len(lines)} row(s) {what}: left out (line {listed(lines, LISTED)})"
+    named = listed(list(dict.fromkeys(lines.tolist())), LISTED)  # of bodies side by side, once
+    note = f"{len(lines)} row(s) {what}: left out (line {named})"
     return taken(rows, np.flatnonzero(~is_out)), (CHECK + note,)
 
 

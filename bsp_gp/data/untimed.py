@@ -1,13 +1,16 @@
 """Tables without a column of times: their rows as frames, where nothing speaks against it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 
 from bsp_gp.data.conversion import unit_of
-from bsp_gp.data.headings import UNKNOWN
+from bsp_gp.data.headings import GUESS, UNKNOWN, is_body, is_rate_of
 from bsp_gp.units import Unit
 
 COUNTED = "there is no column of times: every row is taken as a frame"
+IN_TURN = "there is no column of times: bodies stand below each other in turn, a frame each round"
 RISES = 0.8
 """Part of the steps of a clock that go up; it may begin anew where another recording begins."""
 _TIME = Unit.of(s=1)
@@ -36,10 +39,15 @@ def rows_as_frames(frame, found):
     names = [h.name for h in found]
     doubtful = [
         k for k, h in enumerate(found)
-        if h.sure == UNKNOWN and not (h.ignored or _is_measured(h)) and _may_order(frame[k])
+        if h.sure == UNKNOWN and not (h.ignored or _is_measured(h) or is_rate_of(h.name))
+        and _may_order(frame[k])
     ]  # fmt: skip
     if doubtful:
         return None, _remedy_of_doubt(doubtful, [found[k].theirs for k in doubtful])
+    if "entity" in names and "scene" not in names and _in_turn(frame[names.index("entity")]):
+        n_bodies = frame[names.index("entity")].nunique()
+        counted = pd.Series(np.arange(len(frame)) // n_bodies, frame.index)
+        return counted, f"{_NAME_IT}; if every round is a frame, --fps 25 says how many in a second"
     scenes = frame[names.index("scene")] if "scene" in names else pd.Series(0, frame.index)
     are_mixed = (scenes != scenes.shift()).sum() > scenes.nunique()
     if "entity" in names or are_mixed:
@@ -50,6 +58,26 @@ def rows_as_frames(frame, found):
     lines = pd.Series(frame.index, frame.index)
     counted = lines - lines.groupby(scenes).transform("min")  # rows where all are lost count
     return counted, f"{_NAME_IT}; if every row is a frame, --fps 25 says how many are in a second"
+
+
+def with_bodies_in_turn(frame, found):
+    """Headings with the one of names that come again and again in one order as that of bodies."""
+    if {"t", "frame", "entity", "scene"} & {h.name for h in found}:
+        return found
+    named = [
+        h for k, h in enumerate(found)
+        if h.sure == UNKNOWN and not h.ignored and is_body(h.name)
+        and frame[k].dtype.kind not in "fiub" and _in_turn(frame[k])
+    ]  # fmt: skip
+    return [replace(h, name="entity", sure=GUESS) if [h] == named else h for h in found]
+
+
+def _in_turn(names):
+    """Whether names of bodies come in rounds, all in one order."""
+    codes, labels = pd.factorize(names)
+    count = len(labels)
+    is_whole = 1 < count <= len(codes) // 2 and len(codes) % count == 0
+    return bool(is_whole and (codes.reshape(-1, count) == np.arange(count)).all())
 
 
 def _is_measured(heading):

@@ -237,7 +237,7 @@ def test_columns_of_accelerations_without_a_header_are_named_by_their_numbers(tm
     table = shown_by(t, shown, names).assign(clock=1.6e18)
     path = tmp_path / "bare.csv"
     table[["clock", *table.columns[:-1]]].to_csv(path, index=False, header=False)
-    with pytest.raises(DataError, match="t=1 ax=2 ay=3 az=4 of accelerations"):
+    with pytest.raises(DataError, match="t=2 ax=3 ay=4 az=5 of accelerations"):
         load_dataset(path)
     data = load_dataset(path, columns={"t": "2", "ax": "3", "ay": "4", "az": "5"})
     assert data.velocity == "unseen" and any("gravity" in note for note in data.notes)

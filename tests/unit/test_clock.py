@@ -142,7 +142,8 @@ def test_rows_that_are_missing_are_no_jump(motion, n_missing):
         times = np.delete(0.02 * np.arange(60 + n_missing), 20 + seed + np.arange(n_missing))
         x = motion(times)
         assert table_of(times, a=x + 1e-3 * rng.standard_normal(x.shape)).notes == ()
-    assert table_of(times, a=motion(times)).notes == ()  # noise-free
+    notes = table_of(times, a=motion(times)).notes  # noise-free
+    assert notes == () or (motion is resting and "nothing moves" in notes[0])
 
 
 def test_a_body_that_was_somewhere_else_makes_it_a_gap():

@@ -250,3 +250,17 @@ def test_an_option_of_noise_stands_in_for_the_declared():
     data = Dataset("d", (make_scene("fall"),), noise=(0.5,))
     assert estimate_noise(data).sigma == (0.5, 0.5)
     assert estimate_noise(declare_noise(data, [0.25])).sigma == (0.25, 0.25)
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.3048])
+def test_numbers_with_as_many_digits_each_are_as_coarse_as_the_large_ones(scale):
+    """A swing that dies away, as %g prints it: the grid of its end says nothing of its begin."""
+    times = np.arange(300) * 0.1
+    x = np.array([float(f"{v:.6g}") for v in np.exp(-0.25 * times) * np.cos(2 * times)])
+    found = estimate_noise([Scene("a", times, scale * np.stack([x, 0 * x], axis=1)[:, None],
+                                  (Entity("bob"),))])  # fmt: skip
+    assert found.sigma[0] == pytest.approx(scale * 1e-6 / np.sqrt(12), rel=1e-6)
+    plain = x.round(6)  # as many decimals each: one grid, which is that of all
+    found = estimate_noise([Scene("a", times, np.stack([plain, 0 * x], axis=1)[:, None],
+                                  (Entity("bob"),))])  # fmt: skip
+    assert found.sigma[0] < 4e-7

@@ -244,3 +244,16 @@ def test_a_time_that_is_absurdly_far_off_is_no_crash():
         Dataset.from_frames(pd.DataFrame({"t (s)": t, "v (m/s)": np.cos(t % 7)}))
     t = np.append(1e-9 * np.arange(9), 1e20 * np.arange(1, 9))
     Dataset.from_frames(pd.DataFrame({"t (s)": t, "v (m/s)": np.cos(np.arange(17.0))}))
+
+
+def test_what_is_shaken_for_a_while_is_no_error_and_a_lone_value_is(rng):
+    t = np.arange(600) * STEP
+    shaken = np.where((t > 8) & (t < 13), 0.1, 0.01)
+    v = np.sin(t / 2) + shaken * rng.standard_normal(600)
+    v[100] += 0.8
+    (note,) = [note for note in read(t, v).notes if "far off" in note]
+    assert "left out: 1, in line 101" in note
+
+
+def read(t, v):
+    return Dataset.from_frames(pd.DataFrame({"t (s)": t, "v (m/s)": v}))

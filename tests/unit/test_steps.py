@@ -114,16 +114,10 @@ def doubled(t, k):
     return np.insert(t, k, t[k])
 
 
-@pytest.mark.parametrize(
-    "times",
-    [
-        doubled(np.arange(100.0), 50),
-        doubled(np.arange(100.0), [3, 9, 44, 60]),
-    ],
-)
-def test_other_rows_at_one_time_are_refused_with_what_may_be_the_remedy(times):
+def test_other_rows_at_one_time_are_refused_with_what_may_be_the_remedy():
+    times = doubled(np.arange(100.0), [3, 9, 44, 60])
     table = pd.DataFrame({"t": times, "x": np.sin(np.arange(len(times)) / 9), "y": 0.0})
-    with pytest.raises(DataError, match="duplicate.*every row is a frame.* fps"):
+    with pytest.raises(DataError, match="duplicate.*no even clock fits them"):
         dataset_from_frames(table)
 
 
