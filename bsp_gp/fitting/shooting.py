@@ -21,6 +21,8 @@ STATE_PRIOR = 1e4
 determines what the data do not, and nothing else."""
 EXACT = 1e-3
 """Deviation of what is exact of a first state, in those of a row (and that over a span)."""
+CLOSED = 0.1
+"""Errors of rows that what is known of a first state may move them, for it not to be open."""
 TALL = 128
 """Rows of a block in factorisations of tall matrices: blocks stay in the cache."""
 MOST_DAMPINGS = 60
@@ -480,7 +482,17 @@ class Shooting:
             chain = self.windows.chain[group][at[1]]
             local[:n, rows[at], chain] = places[:n][:, at[0], at[1]]
             shared[:, rows[at], chain] = places[n : n + k][:, at[0], at[1]]
+        if self.known is not None:
+            local[:n] *= self._is_open(local[:n])[:, None, :, None, None]
         return local, shared
+
+    def _is_open(self, local):
+        """Which numbers of first states rows may change, (n, S): others are known better."""
+        size = np.sqrt(np.where(np.isfinite(self.noise.variance), self.noise.variance, np.inf))
+        most = np.abs(local / size).max(axis=(1, 3, 4))
+        errors = np.where(np.isfinite(self.known[1]), self.known[1], np.inf)
+        with np.errstate(invalid="ignore"):  # of what nothing is known, and rows tell nothing
+            return ~(errors * most < CLOSED)
 
     def rounding(self, condensed, nodes):
         """Fall of chi-squared that the last digits of first nodes alone foresee."""

@@ -266,6 +266,8 @@ def doubt_of_bounds(rounds, removed):
     for r in _kept(rounds, removed):
         best = r.decision.best
         found = r.fits[best.id]
+        if best.code == "orbit" and found.status == "at_bound":
+            return "at_bound"
         if best.kind != "force" or found.status != "at_bound":
             continue
         bounds = {p.name: (p.low, p.high) for p in r.hypotheses[best.id].parameters}

@@ -28,6 +28,8 @@ CLOSE, EVEN, SHORTEST = 0.05, 0.02, {True: 2.0, False: 0.25}
 """The part of all steps that are short ones; by how much of such a one all others may miss whole
 numbers of it where rows are evenly spaced; the shortest period in these, of even rows (Nyquist's)
 and of others, which show much shorter ones."""
+SLOWER = 1.2
+"""Times the longest period, up to which that of an orbit may be fitted."""
 BLOCK = 400
 """Periods that are scored at a time."""
 N_FIRSTS, N_PAIR_DRAWS = 60, 20
@@ -114,18 +116,21 @@ class OrbitPairs:
 
 
 def _family(name, scan, proposals, gains, rank):
-    """The family of orbits, from the greatest gains (1 + B,) on the data and on noise.
-
-    The noise is told from the same rows: what takes most of them away is as likely as it makes what
-    is left small, ``S log(S / (S - gain))`` of all S.
-    """
-    total = np.square(scan.targets[: len(gains)]).sum(axis=1)
-    gains = -total * np.log1p(-np.minimum(gains / total, 1 - 1e-9))
+    """The family of orbits, from the greatest gains (1 + B,) on the data and on noise."""
+    gains = _beside_noise(gains, np.square(scan.targets[: len(gains)]).sum(axis=1))
     proposals = sorted(proposals, key=lambda p: -p.promise)
     return Family(
         name, tuple(proposals), float(gains[0]), rank, gains[1:], n_tried=len(scan.rates),
         is_continuum=True,
     )  # fmt: skip
+
+
+def _beside_noise(gain, total):
+    """Gains of all there is of squares, where the noise is told from the same rows.
+
+    What takes most of them away is as likely as it makes what is left small.
+    """
+    return -total * np.log1p(-np.minimum(gain / total, 1 - 1e-9))
 
 
 class _Scan:
@@ -294,7 +299,8 @@ class _Scan:
         Each: period, size, mean longitude at the epoch, eccentricity, omega.
         """
         left, amounts = self._left(np.concatenate([self._columns(*point) for point in points]))
-        gain = float(np.square(self.targets[0]).sum() - np.square(left).sum())
+        total = float(np.square(self.targets[0]).sum())
+        gain = float(_beside_noise(total - np.square(left).sum(), total))
         numbers = []
         for (rate, eccentricity, phase), (one, other) in zip(
             points, amounts.reshape(-1, 2), strict=True
@@ -345,20 +351,24 @@ def _proposal(view, scan, points):
     for numbers in found:
         part = Orbit(_numbers(law, scan, numbers), scan.epoch, scan.axis)
         law, parts = replace(law, frame=(*law.frame, part)), [*parts, part]
-    rank = sum(len(part.numbers) for part in parts)
-    # What is left beside companions may have a memory: the star's own.
+    return _of_parts(view, "orbit", parts, gain)
+
+
+def _of_parts(view, code, parts, gain):
+    """What companions add to velocities as a cause; what is left may have a memory: the star's."""
     noise = TrackNoise(replace(view.hypothesis.noise, is_correlation_known=False))
     return Proposal(
-        "orbit", " + ".join(["v = V", *(part.describe() for part in parts)]),
+        code, " + ".join(["v = V", *(part.describe() for part in parts)]),
         view.hypothesis + Hypothesis((*parts, noise)), -view.criteria.cause_nats * len(parts), gain,
-        rank, kind="hidden_body", patience=PATIENT,
+        sum(len(part.numbers) for part in parts), kind="hidden_body", patience=PATIENT,
     )  # fmt: skip
 
 
 def _numbers(law, scan, values):
     """Numbers of an orbit, which begin at some values, tuple of Parameter."""
     error = scan.error
-    period = Prior("log_uniform", math.pi / scan.rates[-1], 8 * math.pi / scan.rates[0])
+    # Of what turns still more slowly a steady change is all that shows.
+    period = Prior("log_uniform", math.pi / scan.rates[-1], 2 * math.pi * SLOWER / scan.rates[0])
     size = Prior("log_uniform", error / 100, 1e6 * error)
     angle, ever = AnyAngle(), (-math.inf, math.inf)
     names = fresh_names(law, NAMES).values()
@@ -384,8 +394,5 @@ def _trend(view, scan):
     widest = Prior("truncated_normal", mean=0.0, sd=scan.extent / scan.span)
     (name,) = fresh_names(view.fit.law, ("trend",)).values()
     number = Parameter(name, "", LENGTH / TIME, start=slope, prior=widest)
-    part = Trend((number,), scan.epoch, scan.axis)
-    return Proposal(
-        "trend", f"v = V + {part.describe()}", view.hypothesis + part, -view.criteria.cause_nats,
-        slope**2 * size, kind="hidden_body",
-    )  # fmt: skip
+    gain = float(_beside_noise(slope**2 * size, np.square(scan.targets[0]).sum()))
+    return _of_parts(view, "trend", [Trend((number,), scan.epoch, scan.axis)], gain)
