@@ -223,7 +223,8 @@ def run_rounds(
             continue
         if rounds and (not rounds[-1].goes_on or is_hopeless(rounds)):
             break
-        if rounds and is_enough is not None and is_enough(rounds):
+        is_open = any(done.aside is not None for done in rounds)
+        if rounds and not is_open and is_enough is not None and is_enough(rounds):
             break
         if rounds and not rounds[-1].is_beside_more and is_refused and is_refused(rounds[-1]):
             break
@@ -735,7 +736,7 @@ class _Turn:
 
     def _is_spare(self, proposal, broken, is_again):
         """Whether fits before it tell that its own changes nothing."""
-        if proposal.n_laws > min(self.enough, self.nearly):  # a sum, where fewer leave nothing
+        if proposal.n_laws > min(self.enough, self.nearly + 1):  # a sum, where fewer leave nothing
             return True
         if self.explained and self.explained.includes(proposal):  # with another power in it
             return True
@@ -759,7 +760,8 @@ class _Turn:
     def nearly(self):
         """How many laws leave little of what the base does, and are likelier.
 
-        What more than these would take off is asked for beside them, in the next round.
+        What more than one beside these would take off is asked for in the next round; of sums with
+        one that is too much the rest may be better.
         """
         base = self.rows[0]
         return min((

@@ -142,9 +142,10 @@ class Orbits:
         k = np.clip(((times - self.times[0]) / h).astype(int), 0, N_STEPS - 1)
         u = ((times - self.times[k]) / h)[..., None, None]
         (a, va), (b, vb) = np.moveaxis(tracks[k], 2, 0), np.moveaxis(tracks[k + 1], 2, 0)
-        bend, twist = 3 * (b - a) - h * (2 * va + vb), 2 * (a - b) + h * (va + vb)
-        place = a + u * (h * va + u * (bend + u * twist))
-        velocity = va + u * (2 * bend + 3 * u * twist) / h
+        with np.errstate(all="ignore"):  # some run away
+            bend, twist = 3 * (b - a) - h * (2 * va + vb), 2 * (a - b) + h * (va + vb)
+            place = a + u * (h * va + u * (bend + u * twist))
+            velocity = va + u * (2 * bend + 3 * u * twist) / h
         return tuple(np.swapaxes(v, 2, 3)[:, :, None] for v in (place, velocity))
 
     # --- scores ----------------------------------------------------------------------------------
