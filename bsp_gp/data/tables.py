@@ -442,7 +442,7 @@ def _with_remedies(system, of_masses):
     return dataclasses.replace(system, remedies=MappingProxyType({"kg": of_masses}))
 
 
-_DRIVES = frozenset("torque drehmoment force kraft thrust throttle pwm duty motor".split())
+_DRIVES = frozenset("torque tau drehmoment force kraft thrust throttle pwm duty motor".split())
 """Words of columns that say what drives a body."""
 _HEADINGS = frozenset("heading attitude yaw bow azimuth orientation kurs cap rumbo".split())
 """Words of columns that say how a body is turned."""
@@ -459,7 +459,8 @@ def _unused(table, inputs):
             f"column {where[0]} may say how the body is turned: --units {where[0]}=deg makes it an "
             "input of laws, which may then act along and across the body's own axis"
         )
-    driving = [n for n in names if n.isidentifier() and plain_words(n) & _DRIVES]
+    plain = {n: plain_words(n.rstrip("0123456789")) for n in names if n.isidentifier()}
+    driving = [name for name, words in plain.items() if words & _DRIVES]
     if driving:
         note.append(
             f"column {driving[0]} may drive the motion: --units {driving[0]}=UNIT makes it an "
