@@ -110,6 +110,8 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
         tracks = tracks - found.residual
     times = found.channels.times
     sizes = np.array(found.noise.levels)[found.channels.axis]  # nan where nothing moves
+    # A swing is wide: what a tracker does across it, however surely, is none of it.
+    sizes = np.where(np.isfinite(sizes), np.nanmax(sizes, initial=0.0), np.nan)
     seen = [np.isfinite(tracks[:, k]) & np.isfinite(times[:, k]) for k in range(tracks.shape[1])]
     kept = [k for k, own in enumerate(seen) if own.sum() > 6 and np.isfinite(sizes[k])]
     if body is not None:

@@ -1,5 +1,7 @@
 """A lone body that swings without a cause is asked for what drives it back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -234,6 +236,18 @@ def test_a_swing_that_dies_away_soon_is_one(fading):
     found = fit(Hypothesis.from_laws(data, ()), data)
     assert swing_of(found) == pytest.approx(12.0, rel=0.05)
     assert proposed(data).proposals
+
+
+def test_a_swing_is_wide():
+    """A piston had none, since its tracker jumped surely between two pixels across its way."""
+    rng, t = np.random.default_rng(6), np.arange(582) / 60
+    across = np.where(np.sin(1.7 * t) > 0, 20.0, -6.0) + 1e-3 * rng.standard_normal(582)
+    along = 450.0 * np.cos(16.1 * t) + 3.0 * rng.standard_normal(582)
+    table = pd.DataFrame({"t": t, "x": along, "y": across})
+    data = bsp_gp.Dataset.from_frames(table, units={"length": "px", "time": "s"})
+    data = replace(data, noise=(3.0, 1e-3))
+    found = fit(Hypothesis.from_laws(data, ()), data)
+    assert swing_of(found) == pytest.approx(16.1, rel=0.02)
 
 
 def test_what_settles_without_turning_is_no_swing():
