@@ -487,12 +487,17 @@ class Shooting:
         return local, shared
 
     def _is_open(self, local):
-        """Which numbers of first states rows may change, (n, S): others are known better."""
+        """Which numbers of first states rows may change, (n, S): others are known better.
+
+        Places are seen at least as well as they are known.
+        """
         size = np.sqrt(np.where(np.isfinite(self.noise.variance), self.noise.variance, np.inf))
         most = np.abs(local / size).max(axis=(1, 3, 4))
         errors = np.where(np.isfinite(self.known[1]), self.known[1], np.inf)
         with np.errstate(invalid="ignore"):  # of what nothing is known, and rows tell nothing
-            return ~(errors * most < CLOSED)
+            is_open = ~(errors * most < CLOSED)
+        is_open[: len(is_open) // 2] = True
+        return is_open
 
     def rounding(self, condensed, nodes):
         """Fall of chi-squared that the last digits of first nodes alone foresee."""

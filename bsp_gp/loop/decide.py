@@ -163,6 +163,8 @@ def _is_rival(row, best, criteria):
     # Nor is a cause of another kind that makes the same track with a number more.
     same = row.code != best.code and row.n_free <= best.n_free + 1
     same = same and abs(_apart(best, row)) < 2 * criteria.tie_nats
+    # Nor a way in which an unseen body moves, whatever the speeds that it may have beforehand.
+    same = same or row.code == best.code == "hidden_body"
     return _apart(best, row) < criteria.separation and (likely or equal or same)
 
 

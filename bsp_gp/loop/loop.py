@@ -548,7 +548,8 @@ class _Turn:
             is_left = self.judged.get(row.id, 0.0) > EXPLAINED
             if proposal.is_sole and is_left and proposal.instead is None:
                 broken.append((proposal, self.judged[row.id]))
-            if proposal.is_first and row.is_fit and self._is_most(row):
+            is_most = proposal.is_first and row.is_fit and self._is_most(row)
+            if is_most and not (k + 1 < n_first and queue[k + 1][1].is_first):
                 break
             if row.is_fit or not (is_open or proposal.formulas or proposal.instead):
                 is_likelier = row.log_posterior > self.rows[0].log_posterior

@@ -200,8 +200,8 @@ class Family:
         Whether what was tried runs through a continuum.
     is_control : bool
         Whether all of it is fitted whatever it promises: what others must be better than.
-    is_led_by_control : bool
-        The same of its first proposal alone.
+    n_controls : int
+        How many of its first proposals are fitted so, where not all are.
     is_partial : bool
         Whether the time was up before all was tried.
     is_led : bool
@@ -220,12 +220,12 @@ class Family:
     n_tried: int = 0
     is_partial: bool = False
     is_led: bool = False
-    is_led_by_control: bool = False
+    n_controls: int = 0
 
     @property
     def controls(self):
         """What is fitted whatever it promises, tuple of Proposal."""
-        return self.proposals[: None if self.is_control else int(self.is_led_by_control)]
+        return self.proposals[: None if self.is_control else self.n_controls]
 
 
 def both_of(first, second):

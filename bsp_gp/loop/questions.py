@@ -120,9 +120,9 @@ class _PureError:
         self.left = seen - np.square(smooth).sum(axis=0)
         self.rank, first = len(fit.values) + smooth.shape[0] * int(seen.any(axis=0).sum()), 0
         for index, own in zip(tangent.chains, tangent.own, strict=True):
-            shape, stop = (-1, len(seen), len(index)), first + len(seen) * len(index)
-            waves = smooth[:, :, index]
-            own = _beside(own.reshape(shape), waves).reshape(len(own), -1)
+            count, stop = len(own), first + len(seen) * len(index)  # none where states are known
+            shape, waves = (-1, len(seen), len(index)), smooth[:, :, index]
+            own = _beside(own.reshape(count, *shape[1:]), waves).reshape(count, stop - first)
             _, sizes, basis = np.linalg.svd(own, full_matrices=False)
             basis = basis[sizes > 1e-6]
             rows = _beside(flat[:, first:stop].reshape(shape), waves).reshape(len(flat), -1)

@@ -100,12 +100,12 @@ class Hidden(Sources):
         first = _at_origin(view, stage)
         if first:  # where tables of the sky count from, whether that body is in them or not
             proposals = (*first, *family.proposals)
-            return replace(family, proposals=proposals, is_led_by_control=True)
+            return replace(family, proposals=proposals, n_controls=len(first))
         most = MOST * float(view.left @ view.left)
         # Of orbits with few rows a turn moments tell all but the power: who goes round what nobody
         # sees is fitted as that, whatever sums of other forms promise.
         is_orbit = not view.fit.law.terms and family.gain > most
-        return replace(family, is_led_by_control=is_orbit)
+        return replace(family, n_controls=int(is_orbit))
 
 
 def pulls_of(view, strength):
@@ -157,8 +157,8 @@ def _at_origin(view, stage):
         return ()
     terms, place = attraction(view, stage), np.zeros(stage.n_dims)
     gain = max(float(view.left @ view.left) - view.n_left, 0.0)
-    (first, *_) = stage.proposals(terms, place, strength / NEWTON, gain)
-    return (replace(first, is_first=True, patience=PATIENT),)
+    every = stage.proposals(terms, place, strength / NEWTON, gain)
+    return tuple(replace(each, is_first=True, patience=PATIENT) for each in every)
 
 
 def still(places):
