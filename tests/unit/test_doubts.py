@@ -12,7 +12,7 @@ from tests.fitted_tracks import law_of
 PUSH = "c1 * (0.5 * (1 - sign(dot(p_i - origin, e_x) - h_x1)) * e_y)"
 
 
-def round_of(place, status, low=0.0, high=2.0, is_adopted=True):
+def round_of(place, status, low=0.0, high=2.0, is_adopted=True, code="region"):
     """A round that adopts a push up to a place, which may lie between two others."""
     law = law_of(PUSH, c1=1.0, h_x1=place)
     found = SimpleNamespace(law=law, status=status)
@@ -20,7 +20,9 @@ def round_of(place, status, low=0.0, high=2.0, is_adopted=True):
     return SimpleNamespace(
         number=1, fits={2: found}, entering=SimpleNamespace(law=law_of()),
         hypotheses={2: SimpleNamespace(parameters=numbers)},
-        decision=SimpleNamespace(is_adopted=is_adopted, best=SimpleNamespace(id=2, kind="force")),
+        decision=SimpleNamespace(
+            is_adopted=is_adopted, best=SimpleNamespace(id=2, kind="force", code=code)
+        ),
     )  # fmt: skip
 
 
@@ -29,6 +31,7 @@ def round_of(place, status, low=0.0, high=2.0, is_adopted=True):
     [
         (round_of(2.0, "at_bound"), "at_bound"), (round_of(0.0, "at_bound"), "at_bound"),
         (round_of(1.0, "at_bound"), ""),  # it is another number that is at its bound
+        (round_of(1.0, "at_bound", code="orbit"), "at_bound"),  # any number of an orbit
         (round_of(1.0, "converged"), ""), (round_of(2.0, "at_bound", is_adopted=False), ""),
     ],
 )  # fmt: skip
