@@ -8,10 +8,6 @@ from experiments.disc_worlds import sought
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.xfail(
-    reason="a pull to an unknown place is a law of its own now, and told in place of the body",
-    strict=False,
-)
 def test_an_invisible_attractor_is_found_where_it_is():
     errors = [found.error for found in (sought(seed, True) for seed in range(8)) if found[0]]
     assert len(errors) >= 7
