@@ -5,12 +5,11 @@ import re
 
 from scipy.optimize import brentq
 
+from bsp_gp.data.ephemeris import GRAVITATIONAL_CONSTANT
 from bsp_gp.errors import UnitError
 from bsp_gp.report.numbers import format_number, format_value
 from bsp_gp.units import parse_unit
 
-GRAVITY = 6.67430e-11
-"""m^3/(kg s^2), CODATA 2018."""
 _MASSES = (("Msun", 0.08), ("Mjup", 0.1), ("Mearth", 0.0))
 """Units of masses, and how much of one there must be to be told in it."""
 
@@ -54,7 +53,7 @@ def _least_mass(period, size, eccentricity):
         return ""
     flat = math.sqrt(1 - min(eccentricity.value, 0.999) ** 2) if eccentricity is not None else 1.0
     motion = abs(size.value) * speed * flat
-    function = period.value * second * motion**3 / (2 * math.pi * GRAVITY)
+    function = period.value * second * motion**3 / (2 * math.pi * GRAVITATIONAL_CONSTANT)
     sun = parse_unit("Msun")[0]
     if not 0 < function < 1e3 * sun:
         return ""

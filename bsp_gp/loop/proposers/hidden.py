@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.data.ephemeris import GRAVITATIONAL_CONSTANT
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.hidden import HiddenSource, beside_origin, pull_of, unit_pull
 from bsp_gp.language.formula import evaluate
@@ -33,9 +34,7 @@ N_STARTS = 2
 CHUNK = 1 << 22
 """Numbers in one array at a time."""
 ATTRACTION = "m_i * (p_j - p_i) / norm(p_j - p_i)^3"
-NEWTON = 6.6743e-11
-"""m^3/(kg s^2), CODATA 2018."""
-GRAVITY = f"{NEWTON} [m^3/(kg s^2)] * m_j * {ATTRACTION}"
+GRAVITY = f"{GRAVITATIONAL_CONSTANT} [m^3/(kg s^2)] * m_j * {ATTRACTION}"
 TYPES = {**input_types({"mass": Unit.of(kg=1)}), **{n: STATE_INPUTS[n] for n in ("p_i", "p_j")}}
 ZOOMS, CLOSER, MOVES, LITTLE = 6, 2.5, 4, 1e-4
 """Finer grids about the best places, how much finer each is, times that one moves along, and the
@@ -157,7 +156,7 @@ def _at_origin(view, stage):
         return ()
     terms, place = attraction(view, stage), np.zeros(stage.n_dims)
     gain = max(float(view.left @ view.left) - view.n_left, 0.0)
-    every = stage.proposals(terms, place, strength / NEWTON, gain)
+    every = stage.proposals(terms, place, strength / GRAVITATIONAL_CONSTANT, gain)
     return tuple(replace(each, is_first=True, patience=PATIENT) for each in every)
 
 
