@@ -163,7 +163,7 @@ LOOKED_AT = {
     ).encode(), one(x=ACROSS, scene="1") | one(x=SPRING, scene="2"), told=("Weg", "Versuch")),
     "two positions": Sample("carts.csv", table(
         '"Time (s)","Position 1 (m)","Position 2 (m)"', T, SPRING, ACROSS,
-    ).encode(), refused=("Position 1", "Position 2", "--columns")),
+    ).encode(), one(x=SPRING, entity="1") | one(x=ACROSS, entity="2"), told=("Position 1",)),
 }
 
 SET_ASIDE = {

@@ -65,8 +65,8 @@ _UNGLUED = re.compile(r"^([xyzXYZ])([a-zA-Z]{3,})$")
 """``Xearth``: a body behind its axis."""
 _CAMEL = re.compile(r"(\w*[a-z0-9])([A-Z][a-z]+)")
 """``cartPos``."""
-_COUNTED = re.compile(r"([^\W\d_]+)[\s_.-]?\d+")
-"""``pos1``."""
+_COUNTED = re.compile(r"([^\W\d_]+?)[\s_.-]?(\d+|(?<![A-Z])[A-W])")
+"""``pos1``, ``xA``."""
 _GLUED_PLACE = re.compile(
     r"(pos(?:ition)?|coord|loc|p|c|t)([xyz])|([xyz])(pos(?:ition)?|coord|loc)", re.IGNORECASE
 )
@@ -385,7 +385,7 @@ def headings(cells, rename=None, *, is_track=True):
     if is_track:
         found = _without_sensors(_as_said(found))
         found = _with_glued_places(_with_bodies(found))
-        found = _with_angles(_with_polar_errors(_turned(found)))
+        found = _with_counted_places(_with_angles(_with_polar_errors(_turned(found))))
         found = _with_dates(found)
         found = _without_courses([_guessed(h, {f.name for f in found}) for h in found])
         found = _with_errors(_with_clock(found))
@@ -785,9 +785,26 @@ def bodies_beside(table_columns, units):
 
 
 def numbered_places(texts):
-    """Headings ``x1, x2`` or ``pos1, pos2``: two coordinates of one body, or of two on a line."""
+    """Headings ``x1, x2`` or ``pos1, pos2``, of bodies on one line."""
     found = {text: _COUNTED.fullmatch(text.strip()) for text in texts}
     return [t for t, of in found.items() if of and folded(of[1]) in _PLACE_WORDS | {"x"}]
+
+
+def _with_counted_places(found):
+    """``x1, x2`` or ``Position 1, Position 2`` as bodies on a line, where no column is a place.
+
+    ``x1, x2, x3`` are as often the coordinates of one body, and are asked for.
+    """
+    names = numbered_places([h.name for h in found if h.sure == UNKNOWN and not h.ignored])
+    own = [h for h in found if h.name in names and (not h.unit or unit_of(h.unit) == _LENGTH)]
+    stems = {folded(_COUNTED.fullmatch(h.name.strip())[1]) for h in own}
+    is_asked = stems == {"x"} and len(own) == 3
+    if has_place(found) or len(own) < 2 or len(stems) > 1 or is_asked:
+        return found
+    return [
+        replace(h, name="x", body=_COUNTED.fullmatch(h.name.strip())[2], sure=GUESS)
+        if h in own else h for h in found
+    ]  # fmt: skip
 
 
 def _with_angles(found):

@@ -85,10 +85,11 @@ def decide(table, criteria=None):
         return Decision("seen, not adopted", "no_better_than_before", seen, False, rivals)
     if _is_refused(best, criteria):
         return Decision("seen, not adopted", "held_out_refuses", best, False, rivals)
+    # A hand moves a body in any way: rows are left to one alone where no force does nearly as well.
+    tie = criteria.class_nats if best.code == "untrimmed" else criteria.tie_nats
     tied = [
         row for row in rivals
-        if row.kind != best.kind
-        and best.log_posterior - row.log_posterior < criteria.tie_nats
+        if row.kind != best.kind and best.log_posterior - row.log_posterior < tie
     ]  # fmt: skip
     is_fact = not any(_is_near(row, best, criteria) for row in rivals)
     first = _weight_before(best, table) or _cause_before_kicks(best, candidates)

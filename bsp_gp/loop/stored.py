@@ -119,8 +119,15 @@ def _round(record, dataset):
     )  # fmt: skip
 
 
-def _formula(text, dataset):
-    """The formula of a term; None where it is no force, or needs what is not stored."""
+def formula_of(text, dataset):
+    """The formula of a law; None where it is no force, or needs what is not stored.
+
+    Parameters
+    ----------
+    text : str
+    dataset : mapping
+        What a report says of its data.
+    """
     properties, inputs = dataset.get("properties") or {}, dataset.get("inputs") or {}
     units = {name: _unit(known) for name, known in properties.items()}
     vectors = [name for name, known in properties.items() if known["is_vector"]]
@@ -129,9 +136,14 @@ def _formula(text, dataset):
         types[name] = Type("vector" if known["is_vector"] else "scalar", _unit(known))
     try:
         system = UnitSystem.from_declared(dataset["units"])
-        formula = parse_formula(text, types, units=system) if text else None
+        return parse_formula(text, types, units=system) if text else None
     except LawError:
         return None
+
+
+def _formula(text, dataset):
+    """The formula of one term; None as above."""
+    formula = formula_of(text, dataset)
     is_sum = isinstance(formula, Call) and formula.operator in ("add", "sub")
     return None if is_sum else formula  # of several forces found as one there is no one formula
 

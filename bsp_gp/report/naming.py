@@ -33,7 +33,9 @@ def describe(formula, value=None, other="the other body", exponents=()):
     "drag, speed to the 1.5 (1.2 to 1.8)".
     """
     direction, conditions, powers = _parts(formula)
-    loose = [e for e in exponents if not e.get("is_told", True) and e["stated"]]
+    rubs = direction is not None and to_text(direction) == "normalize(v_i)"
+    loose = [e for e in exponents if not e.get("is_told", True)
+             and (e["stated"] or rubs and e["of"] == "norm(v_i)")]  # fmt: skip
     powers = {n: power for n, power in powers.items() if n not in {e["of"] for e in loose}}
     if _OBLATE.search(to_text(formula)):
         phrase = "pull of an oblate centre (its flattening, about z)"
@@ -47,6 +49,8 @@ def describe(formula, value=None, other="the other body", exponents=()):
     else:
         condition = conditions[-1] if conditions else None
         phrase = _phrase(direction, condition, powers, value, bool(loose))
+        if any(not e["stated"] for e in loose):
+            phrase = re.sub("^drag", "friction", phrase)
     phrase = ", ".join([phrase, *map(_loose, loose)])
     phrase = re.sub(r"\^1(?![\d.])", "", phrase.replace(" * ", " times "))
     return pretty_unit(phrase).replace("the other body", other)
@@ -106,6 +110,8 @@ _WHOLE = (
     (r"^(?:0\.5 \* )?\(1 [-+] sign\(([xyz])_i - \w+\)\)"
      r" \* \(*(?:\w+ - \1_i|\1_i - \w+)\) \* e_\1\)?$",
      "spring along {0} on one side of a place (a bumper, a rubber band)"),
+    (r"^(?:0\.5 \* )?\(1 \+ sign\((L\d*) - (norm\(p_i - p_j\))\)\) \* \(\1 - \2\) \* normalize",
+     "springy push of bodies that touch, nearer than a distance"),
     (r"^(?:0\.5 \* )?\(\(1 - sign\(([xyz])_i - \w+\)\) .*\(1 \+ sign\(\1_i - \w+\)\) .*\) \* e_\1$",
      "springs along {0} at both ends (bumpers)"),
     (r"^\(1 - \(\([xyz]_i - .*\^2\) \* v_i$",

@@ -5,8 +5,10 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from bsp_gp.data.scene import CHECK
+from bsp_gp.language.formula import summands
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.criteria import KICKED
+from bsp_gp.loop.stored import formula_of
 from bsp_gp.loop.told import retold
 from bsp_gp.physics.force import needs_masses, split_linear
 from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
@@ -156,7 +158,9 @@ def _round(done, report):
     parts = () if done.effect is None else _parts(done.effect, report.law, other)
     beside = () if done.effect is None else _beside(done.effect, report.law, other)
     name = "" if done.effect is None else _name(done.effect, parts, other)
-    tied = _tied(done) if done.reason == "kinds_tie" else ()
+    if done.effect is not None and name == done.effect.name:
+        name = _in_words(name, report.dataset) or name
+    tied = _tied(done, report.dataset) if done.reason == "kinds_tie" else ()
     p_value = done.missing.p_value
     return SimpleNamespace(
         number=done.number, missing=done.missing,
@@ -276,7 +280,7 @@ def _effect(effect, name, parts, beside, tied):
     )  # fmt: skip
 
 
-def _tied(done):
+def _tied(done, dataset):
     """Causes of another kind that are as likely."""
     best = done.effect
     rows = sorted(done.hypotheses, key=lambda row: -_finite(row["probability"]))
@@ -288,14 +292,29 @@ def _tied(done):
     told = others[:2] + [row for row in others[2:] if _finite(row["probability"]) > likely]
     if best.kind == "kicks" and not any(_finite(row["probability"]) > likely for row in others):
         told = [{"code": "noise", "law": ""}]  # of the base: what is kicked in a trap wanders so
-    return tuple(dict.fromkeys(_called(row) for row in told))
+    return tuple(dict.fromkeys(_called(row, dataset) for row in told))
 
 
-def _called(row):
+def _called(row, dataset):
     """A row of the table in a few words."""
     if row["code"] in ("number", "exponent"):
         return change(row["code"], row["law"])
-    return CAUSES.get(row["code"], row["law"])
+    values = (row.get("model") or {}).get("values", {})
+    return CAUSES.get(row["code"]) or _in_words(row["law"], dataset, values) or row["law"]
+
+
+def _in_words(text, dataset, values=None):
+    """The forces of a law that was not taken up in plain words; "" where it is no sum of forces."""
+    law, values = formula_of(text, dataset), values or {}
+    if law is None:
+        return ""
+    other, told, sizes = dataset.get("partner") or "the other body", [], []
+    for term in summands(law):
+        name, _ = split_linear(term)
+        sizes.append(values.get(name))
+        told.append(describe(term, sizes[-1], other))
+    told = list(dict.fromkeys(along_one_line(told, sizes)))
+    return " and ".join(filter(None, [", ".join(told[:-1]), told[-1]]))
 
 
 def _hypotheses(done):

@@ -78,7 +78,8 @@ def _findings(rounds):
 
 def _either(round_):
     """The effect of a round, and what these data cannot tell from it that is no law."""
-    return " or ".join([round_.effect.name, *round_.undecided])
+    names = [round_.effect.name, *round_.undecided]
+    return ("; or " if any(" or " in name for name in names) else " or ").join(names)
 
 
 def verdict_sentence(report):

@@ -112,6 +112,7 @@ def adopted():
     )  # fmt: skip
     return LoopReport(
         dataset={"name": "Thrown balls", "n_scenes": 16, "n_rows": 960, "n_entities": 14,
+                 "n_dims": 2, "up": None,
                  "train": ["a"] * 12, "test": ["b"] * 4, "provenance": {"source": "made up"},
                  "fingerprint": "sha256:3fa9", "split": "no split declared",
                  "units": {"length": "m", "time": "s"}, "symbols": {},

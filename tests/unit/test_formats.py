@@ -238,12 +238,22 @@ def test_two_positions_are_two_bodies_where_the_user_says_so(tmp_path):
     assert scene.positions[:, :, 0].T.tolist() == [X, [5.0, 6.0, 7.0]]
 
 
-def test_x1_and_x2_alone_may_be_two_things(tmp_path):
+def test_x1_and_x2_alone_are_two_bodies_on_a_line_and_it_is_told(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("t,x1,x2\n0,0,5\n1,1.5,6\n2,4.25,7\n", "utf-8")
-    with pytest.raises(DataError, match="x1, x2.*columns={.x.: .*BODY_x"):
-        load_dataset(path)
+    dataset = load_dataset(path)
+    assert set(dataset.scenes[0].names) == {"1", "2"}
+    assert any("'x1' as x of 1" in note for note in dataset.notes)
     assert load_dataset(path, columns={"x": "x1", "y": "x2"}).scenes[0].names == ("object",)
+    path.write_text("t,xA,xB\n0,0,5\n1,1.5,6\n2,4.25,7\n", "utf-8")
+    assert set(load_dataset(path).scenes[0].names) == {"A", "B"}
+
+
+def test_x1_x2_and_x3_alone_may_be_two_things(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t,x1,x2,x3\n0,0,5,1\n1,1.5,6,2\n2,4.25,7,4\n", "utf-8")
+    with pytest.raises(DataError, match="x1, x2, x3.*columns={.x.: .*BODY_x"):
+        load_dataset(path)
 
 
 @pytest.mark.parametrize("ending", [".cmbl", ".cap", ".xls", ".ods"])

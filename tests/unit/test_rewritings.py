@@ -15,7 +15,8 @@ from bsp_gp.report.rewritings import dependence, other_way, rewritten, told_once
 from bsp_gp.report.summary import summary_text
 from tests.unit.report_sample import adopted
 
-ONE_MASS = {"properties": {"mass": {"is_constant": True}}, "way": ""}
+KNOWN = {"is_constant": True, "is_vector": False, "unit": ["1", "0", "0", "0", "0", "0", "0"]}
+ONE_MASS = {"properties": {"mass": KNOWN}, "way": ""}
 FALL = {**ONE_MASS, "way": "x"}
 DRAG = "c1 * (norm(v_i)^2 * normalize(v_i))"
 

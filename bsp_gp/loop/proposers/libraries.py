@@ -265,7 +265,8 @@ def _proposal(view, library, own, amounts, gain, wave, more=()):
     starts |= {p.name: float(at) for p, at in inner if p.name in named}
     ranges = tuple(p for p, _ in inner if p.name in named)
     hypothesis = view.hypothesis + RangedForces(ForceLaw(tuple(terms), dict(starts)), None, ranges)
-    bounds, formulas, n_causes = {}, [term.formula for term in terms], len(terms)
+    bounds, formulas = {}, [term.formula for term in terms]
+    n_causes = len(terms) + len(ranges)  # what is about a place of its own, or fades, is no plain law
     if wave is not None:
         hypothesis, n_causes = hypothesis + wave.part, n_causes + 1
         starts |= dict(zip(wave.names, (*amounts[-3:-1], wave.rate), strict=True))
