@@ -266,7 +266,7 @@ def _proposal(view, library, own, amounts, gain, wave, more=()):
     ranges = tuple(p for p, _ in inner if p.name in named)
     hypothesis = view.hypothesis + RangedForces(ForceLaw(tuple(terms), dict(starts)), None, ranges)
     bounds, formulas = {}, [term.formula for term in terms]
-    n_causes = len(terms) + len(ranges)  # what is about a place of its own, or fades, is no plain law
+    n_causes = len(terms) + len(ranges)  # what fades is no plain drag
     if wave is not None:
         hypothesis, n_causes = hypothesis + wave.part, n_causes + 1
         starts |= dict(zip(wave.names, (*amounts[-3:-1], wave.rate), strict=True))
