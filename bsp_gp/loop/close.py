@@ -535,8 +535,8 @@ def _written(
         )
         for done in rounds
     ]
-    records = writing_up.judged_together(records)
     total = _total(accounts, at[id(first)], at[id(last)])
+    records = writing_up.judged_together(writing_up.not_foreseen(records, total["ratio"]))
     verdict = min((r.verdict for r in records), key=VERDICTS.index)
     if writing_up.is_idle(rounds, pruned.removed, total["ratio"]):
         verdict = records[-1].verdict

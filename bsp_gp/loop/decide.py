@@ -33,6 +33,8 @@ class Decision:
         What is not told apart from it, the likeliest first.
     is_fact : bool
         Whether the form of the best is told apart from all rivals.
+    is_beside_more : bool
+        Whether forces are to be found beside it: what it explains alone is no verdict on it.
     """
 
     verdict: str
@@ -41,6 +43,7 @@ class Decision:
     is_adopted: bool = False
     rivals: tuple = ()
     is_fact: bool = False
+    is_beside_more: bool = False
 
 
 def decide(table, criteria=None):
@@ -92,8 +95,9 @@ def decide(table, criteria=None):
         if row.kind != best.kind and best.log_posterior - row.log_posterior < tie
     ]  # fmt: skip
     is_fact = not any(_is_near(row, best, criteria) for row in rivals)
-    first = _weight_before(best, table) or _cause_before_kicks(best, candidates)
-    if first is not None:
+    if (weight := _weight_before(best, table)) is not None:
+        return Decision("effect adopted", "adopted", weight, True, is_beside_more=True)
+    if (first := _cause_before_kicks(best, candidates)) is not None:
         return Decision("effect adopted", "adopted", first, True)
     if tied:
         return Decision("cannot tell", "kinds_tie", best, True, rivals, False)

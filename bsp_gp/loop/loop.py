@@ -149,7 +149,8 @@ class Round:
         """Whether what it adopts was judged beside forces that are to be found yet."""
         best = self.decision.best
         own = self.proposals.get(best.id) if self.decision.is_adopted and best else None
-        return own is not None and own.judged is not None
+        is_judged_so = own is not None and own.judged is not None
+        return is_judged_so or self.decision.is_beside_more
 
     @property
     def goes_on(self):
@@ -361,7 +362,7 @@ class _Turn:
         self.near, self.missing = found, 0.0  # where fits begin; chi-squared that is to be gained
         evidence = log_evidence(found, hypothesis, run.criteria)
         base = (found.status, evidence, 0.0, found.log_likelihood, found.n_free)
-        self.rows = [Row(0, "base", "", "", *base, left=_left_by(found))]
+        self.rows = [Row(0, "base", "", "", *base, left=_left_by(found, 0))]
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
         self.levels = np.array(found.noise.levels)  # of the noise by which promises are made
@@ -1021,7 +1022,7 @@ class _Turn:
                 n_pushes=sum(set(formula.inputs) <= UNIFORM for formula in proposal.formulas),
                 n_kicks=_n_kicks(proposal.hypothesis) - _n_kicks(self.hypotheses[0]),
                 is_of_pairs=any(n[-2:] == "_j" for f in proposal.formulas for n in f.inputs),
-                left=_left_by(self.fits.get(number)),
+                left=_left_by(self.fits.get(number), self.fits[0].n_rows),
             )
         )  # fmt: skip
         return self.rows[-1]
@@ -1032,10 +1033,11 @@ def _n_kicks(hypothesis):
     return len({part.mark for part in hypothesis.parts if isinstance(part, Kick)})
 
 
-def _left_by(found):
-    """Root mean square of what a fit leaves of tracks, m; nan where it has none."""
-    is_told = found is not None and not found.is_failed and found.shows_tracks
-    return size_left(found) if is_told else math.nan
+def _left_by(found, n_rows):
+    """Root mean square of what a fit leaves of tracks, m; nan where it has none, or fewer rows."""
+    if found is None or found.is_failed or not found.shows_tracks or found.n_rows < n_rows:
+        return math.nan
+    return size_left(found)
 
 
 def _proposed(shared, number):

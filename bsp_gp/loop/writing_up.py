@@ -22,7 +22,7 @@ from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Z_90, Constancy
 from bsp_gp.loop.criteria import FORESEEING, KICKED
 from bsp_gp.loop.decide import share_of_listed
-from bsp_gp.loop.foresight import NO_BETTER, foresees
+from bsp_gp.loop.foresight import NO_BETTER, NOTABLE, foresees
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
 from bsp_gp.loop.proposal import is_turning
 from bsp_gp.loop.proposers.exponents import base_of
@@ -43,7 +43,7 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
-    "likelier_refused", "at_bound", "much_left", "laboratory",
+    "likelier_refused", "at_bound", "much_left", "laboratory", "poorly_foreseen",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
@@ -298,6 +298,27 @@ def _new(found, before):
     """Formulas of terms that one fit has and another has not."""
     known = {term.formula for term in before.law.terms}
     return [term.formula for term in found.law.terms if term.formula not in known]
+
+
+def not_foreseen(records, ratio):
+    """Records in which forms that these data do not tell are no causes where they foresee nothing.
+
+    Few held-out rows do not refuse a law for sure; one of many that fit as well, with which the
+    error grows notably, is not shown to be the cause all the same.
+
+    Parameters
+    ----------
+    records : sequence of RoundRecord
+    ratio : Ratio
+        Of errors on what was held out, under the final law and the declared one.
+    """
+    if not ratio.value > NOTABLE:
+        return records
+    return [
+        replace(r, verdict="effective law", reason="poorly_foreseen")
+        if r.verdict == "effect adopted" and r.effect.equivalents and not r.effect.is_fact else r
+        for r in records
+    ]
 
 
 def judged_together(records):

@@ -85,9 +85,19 @@ def page_of(report):
             tried = [row["law"] for row in done.hypotheses if row["status"] == "converged"]
             r.effect.dependence = dependence(law, rivals, tried, page.dataset)
             r.effect.equivalents, n_same, why = told_once(law, rivals, page.dataset)
+            r.effect.likeliest_other = _other_form(r.effect, page.dataset)
             r.effect.rewritten = rewritten(n_same, why)
             r.effect.name += other_way(r.effect, why, page.dataset)
     return page
+
+
+def _other_form(effect, dataset):
+    """In plain words, the likeliest form that fits as well as one that is no fact; "" if none."""
+    is_open = any(not e["is_told"] for e in effect.exponents)  # its interval says as much
+    if effect.is_fact or is_open or effect.kind not in ("pair", "field"):
+        return ""
+    words = (_in_words(law, dataset) for law in effect.equivalents)
+    return next((text for text in words if text and text != effect.name), "")
 
 
 def _ratio(ratio):

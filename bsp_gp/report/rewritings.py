@@ -165,7 +165,8 @@ def _key(law, symbols, towards):
 def _factors(term, symbols, towards):
     match = _TERM.fullmatch(term)
     product = _bare(match[1]) if match else term
-    for factor in _split(product, " * "):
+    is_sum = len(_split(product, " + ", " - ")) > 1
+    for factor in (product,) if is_sum else map(_bare, _split(product, " * ")):
         if any(re.fullmatch(_power_of(symbol), factor) for symbol in symbols):
             continue
         yield "along the motion" if factor in towards else factor

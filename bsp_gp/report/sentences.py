@@ -104,6 +104,9 @@ def verdict_parts(report):
         is_force = any(r.effect.kind not in ("measurement", "noise") for r in adopted)
         is_all = not is_force and last.verdict == "nothing missing"
         detail = "No force is missing beside it." if is_all else ""
+        others = [r.effect.likeliest_other for r in adopted if r.effect.likeliest_other]
+        if others:
+            detail = f"These data do not tell it from {others[-1]}."
         if last.verdict == "seen, not adopted":
             detail = ("More than noise is left beside it that nothing explains: it is the nearest "
                       "of all that was tried.")  # fmt: skip
