@@ -77,6 +77,8 @@ class Langevin:
         Chance that errors of one-step forecasts are as far from white and normal as they are.
     memory_gain : float, nats
         What it gains where what kicks goes on for a while.
+    settling : float
+        Rows that it takes until kicks show above the noise; nan without kicks.
     """
 
     terms: frozenset
@@ -86,6 +88,7 @@ class Langevin:
     oddity: float = 1.0
     is_blurred: bool = False
     memory_gain: float = 0.0
+    settling: float = np.nan
 
     @property
     def are_kicks(self):
@@ -351,7 +354,14 @@ class _Problem:
         if offsets:
             self._tell_offsets(out, terms, offsets, dict(zip(names, x, strict=True)), is_overdamped)
         log_likelihood = height - self.n_numbers * np.log(size)
-        return Langevin(terms, is_overdamped, out, float(log_likelihood))
+        settling = np.nan
+        if "kicks" in names:
+            at = dict(zip(names, np.exp(x), strict=True))
+            share = (at.get("noise") or self.noise) ** 2 / at["kicks"]
+            settling = float((share / 2) ** 0.5 if is_overdamped else share**0.25)
+        return Langevin(
+            terms, is_overdamped, out, float(log_likelihood), settling=settling
+        )
 
     def _tell_offsets(self, out, terms, offsets, at, is_overdamped):
         """Add the centre of a trap (of the first track) or the push."""

@@ -44,6 +44,7 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
     "likelier_refused", "at_bound", "much_left", "laboratory", "poorly_foreseen",
+    "smooth_kicks",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
@@ -92,6 +93,8 @@ def record_of(
         verdict, reason = "effective law", UNLISTED[unlisted.code]
     elif verdict == "effect adopted" and doubt and decision.best.kind in FORESEEING:
         verdict, reason = "effective law", doubt
+    elif verdict == "effect adopted" and getattr(done.proposals[decision.best.id], "is_smooth", 0):
+        verdict, reason = "effective law", "smooth_kicks"
     return RoundRecord(
         number=done.number,
         missing=Missing(

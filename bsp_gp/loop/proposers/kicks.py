@@ -21,6 +21,9 @@ LEAST_ROWS = 100
 PIECE, SURELY_ODD = 400, 1e-6
 """Rows of a track on which kicks are asked first where there are many, and the chance of forecasts
 as odd, below which the others are not asked."""
+SMOOTH = 4.0
+"""Rows until kicks show above the noise, beyond which they may be a force of any other form: of
+beads it takes one or two, and eight or more where a body is pushed smoothly by what nobody lists."""
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 UNITS = {
     "drag_rate": DIMENSIONLESS / TIME, "trap_rate": DIMENSIONLESS / TIME**2,
@@ -42,10 +45,14 @@ class Kicked(Proposal):
         In the terms of other fits.
     constants : tuple of dict
         Of kicks and forces, as a report has them.
+    is_smooth : bool
+        Whether so many rows are between kicks that show that any force which changes from place to
+        place, or in time, moves the bodies as well.
     """
 
     log_evidence: float = -math.inf
     constants: tuple = ()
+    is_smooth: bool = False
 
     def fitted(self, base, dataset, *, criteria, bounds=None, deadline=None):
         """The fit that it extends, with the evidence of kicks in the place of its own."""
@@ -83,6 +90,7 @@ class Kicks:
             "kicks", _text(best), view.hypothesis, -view.criteria.cause_nats, gain,
             len(best.values), kind="kicks", is_last=True,
             log_evidence=best.score - _wider(tracks), constants=_constants(best, view.dataset),
+            is_smooth=best.settling > SMOOTH,
         )  # fmt: skip
         return replace(known, proposals=(proposal,))
 
