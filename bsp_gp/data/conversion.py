@@ -99,9 +99,8 @@ class Conversion:
         What to name in complaints.
     has_fps : bool
         Times come from a frame rate, so they are seconds.
-    by_headings : bool
-        Units stand in the headings alone, and nobody declares any: one of length or time may be
-        missing, and is told as such.
+    may_be_half : bool
+        One of length and time may be missing, and is told as such.
     of_sight : bool
         Velocities stand in the place of places, and lengths have their unit.
 
@@ -111,7 +110,7 @@ class Conversion:
     """
 
     def __init__(
-        self, declared, columns, file=None, has_fps=False, by_headings=False, of_sight=False
+        self, declared, columns, file=None, has_fps=False, may_be_half=False, of_sight=False
     ):  # fmt: skip
         columns = set(columns)
         self.declared = {key: _as_written(text) for key, text in declared.items()}
@@ -130,7 +129,7 @@ class Conversion:
         if has_fps and "length" in kinds:
             kinds.setdefault("time", "s")
         missing = [kind for kind in ("time", "length") if kind not in kinds]
-        if len(missing) == 1 and not by_headings:
+        if len(missing) == 1 and not may_be_half:
             example = {"time": "s", "length": "m"}[missing[0]]
             other = {
                 "time": " (or --fps 25 where it counts frames)",

@@ -38,6 +38,9 @@ COARSEST, COARSE = 5.0, 0.25
 off by more than such a part of how much they vary."""
 SWINGS = 3
 """Periods of the strongest wave of accelerations in a track that is bound to its middle."""
+NARROW, PURE = 3, 0.25
+"""Lines of a spectrum beside its highest that are of one wave, and the part of all power that they
+have in what swings: a cart that rattles as it rolls has a tenth there."""
 SLOWER = 10.0
 """Times as slow as that wave, what is taken as drift there: its accelerations are off by a part of
 1e-4, places by what errors add up to within so many periods."""
@@ -382,9 +385,10 @@ def _swing(times, values):
     even = np.linspace(times[0], times[-1], len(times))
     axis = int(np.argmax(values.var(axis=0)))
     wave = np.interp(even, times, values[:, axis])
-    power = np.abs(np.fft.rfft((wave - wave.mean()) * np.hanning(len(wave))))
+    power = np.square(np.abs(np.fft.rfft((wave - wave.mean()) * np.hanning(len(wave)))))
     peak = int(np.argmax(power))
-    return 2 * np.pi * peak / (times[-1] - times[0]) if peak >= SWINGS else 0.0
+    is_wave = power[max(peak - NARROW, 0) : peak + NARROW + 1].sum() > PURE * power.sum()
+    return 2 * np.pi * peak / (times[-1] - times[0]) if peak >= SWINGS and is_wave else 0.0
 
 
 def _bound(gaps, gained, widths, rate):

@@ -51,7 +51,13 @@ from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.trk import read_trk
-from bsp_gp.data.twice import by_date, measures_at_once, without_copies, without_slips
+from bsp_gp.data.twice import (
+    by_date,
+    measures_at_once,
+    without_copies,
+    without_held,
+    without_slips,
+)
 from bsp_gp.data.uncalibrated import without_other_units
 from bsp_gp.data.wide import groups_of
 from bsp_gp.errors import DataError, MissingDependencyError, UnitError, in_python
@@ -338,6 +344,9 @@ def _assemble(table, roster, declaration, default_name):
     table, declared = from_sky(table, declared, declaration.sky)
     table = along_named_axis(table, declaration)
     tables = [t for t in (table, roster) if isinstance(t, Table)]
+    if "angle" in declared and not any("angle" in t.frame for t in tables):
+        declared = {"length": declared["angle"], **{k: v for k, v in declared.items()
+                                                    if k != "angle"}}  # fmt: skip
     axes_of(table, declaration)  # what is missing is told before its unit is
     units, units_notes = _units_of(tables, declared)
     units_notes += _about_unit_of_x(table, units)
@@ -346,11 +355,10 @@ def _assemble(table, roster, declaration, default_name):
     for each in tables:
         known |= set(each.frame.columns) | {str(c)[:-2] for c in each.frame if str(c)[-2:] == "_x"}
     known |= {unit for t in tables for unit in t.units}
-    by_headings = not {"length", "time", "t", *"xyz"} & set(declared) and not is_star
-    units_notes += _half_said(table, units) if by_headings else []
+    units_notes += [] if is_star else _half_said(table, units)
     conversion = Conversion(
         units, known, declaration.file or table.file, has_fps=declaration.fps is not None,
-        by_headings=by_headings, of_sight=declaration.velocity == SIGHT,
+        may_be_half=not is_star, of_sight=declaration.velocity == SIGHT,
     )  # fmt: skip
     is_said = roster is not None and (
         not isinstance(roster, Table) or "dynamic" in roster.frame.columns
@@ -363,6 +371,7 @@ def _assemble(table, roster, declaration, default_name):
     rows, put = by_date(rows)
     rows, twice = measures_at_once(rows)
     rows, slips = without_slips(rows)
+    rows, held = without_held(rows)
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     rows, met = without_meetings(rows) if roster is None else (rows, ())
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
@@ -387,6 +396,7 @@ def _assemble(table, roster, declaration, default_name):
         *put,
         *twice,
         *slips,
+        *held,
         *apart,
         *met,
         *still,
@@ -633,13 +643,13 @@ def _units_of(tables, declared):
 
 
 def _half_said(table, units):
-    """A note where headings tell the unit of lengths or that of times, and not both."""
-    has_length, has_time = ({"x", "y", "z"} & set(units), "t" in units)
+    """A note where the unit of lengths or that of times is told, and not both."""
+    has_length, has_time = ({"length", *"xyz"} & set(units), bool({"time", "t"} & set(units)))
     if bool(has_length) == has_time or "t" not in table.frame.columns:
         return []
     kind, unit = ("length", "m") if has_time else ("time", "s")
     return [in_python(
-        f"{CHECK}headings give no unit of {kind}: {kind}s stay numbers of the file, told in "
+        f"{CHECK}no unit of {kind} is given: {kind}s stay numbers of the file, told in "
         f"'{kind}'; --units {kind}={unit} says what they are in"
     )]  # fmt: skip
 

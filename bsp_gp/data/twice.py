@@ -12,6 +12,9 @@ from bsp_gp.data.scene import CHECK
 AGREE = 5.0
 """Standard errors of their difference by which measures at one time may differ."""
 LISTED = 8
+LEAP, LEAST_LEAPS = 4.0, 10
+"""Times the least that two of its places differ by, which a body leaps before a reading that is held
+and behind it; and how many of these there are at least."""
 MOST_SLIPS = 0.01
 """Part of the rows of a body whose time may not be after those before."""
 FEW, NEAR = 0.2, 0.25
@@ -81,6 +84,45 @@ def without_slips(rows):
     if not is_slip.any():
         return rows, ()
     return _left_out(rows, is_slip, "have a time that is not after those before")
+
+
+def without_held(rows):
+    """Rows without those of readings that were held until the next one, and a note of these.
+
+    A logger that is faster than its sensor, and a tracker that has lost a body, say the last place
+    again. What lies still does so, too, but does not leap there, nor away from there.
+    """
+    if rows.velocities is not None or len(rows.times) < 2:
+        return rows, ()
+    is_held = np.zeros(len(rows.times), dtype=bool)
+    key = rows.scene * len(rows.entity_names) + rows.entity
+    for own in pd.Series(key).groupby(key).indices.values():
+        is_held[own] = _are_held(rows.positions[own])
+    if not is_held.any():
+        return rows, ()
+    return _left_out(rows, is_held, "hold the place of the row before, between two that are far apart")
+
+
+def _are_held(places):
+    """Rows (n,) of one body, at places (n, d), that repeat a reading."""
+    nothing, places = np.zeros(len(places), dtype=bool), places[:, np.isfinite(places).any(axis=0)]
+    steps = np.abs(np.diff(places, axis=0))
+    moving = np.flatnonzero(steps.any(axis=1))  # the last row of each reading, but of the last one
+    if len(moving) < LEAST_LEAPS or not np.isfinite(places).all():
+        return nothing
+    gaps = [np.diff(np.unique(own)) for own in places.T]
+    finest = [own.min() if len(own) else np.inf for own in gaps]  # a grid, or hardly anything
+    is_leap = (steps[moving] >= LEAP * np.array(finest)).any(axis=1)
+    firsts, lasts = np.append(0, moving + 1), np.append(moving, len(places) - 1)
+    chosen = np.append(True, is_leap) & np.append(is_leap, True) & (lasts > firsts)
+    within = chosen[1:-1]
+    if np.count_nonzero(within) < LEAST_LEAPS:
+        return nothing
+    # At the ends it may lie still for as long as it likes.
+    chosen &= lasts - firsts <= (lasts - firsts)[1:-1][within].max()
+    for first, last in zip(firsts[chosen], lasts[chosen], strict=True):
+        nothing[first + 1 : last + 1] = True
+    return nothing
 
 
 def _left_out(rows, is_out, what):

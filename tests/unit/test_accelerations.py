@@ -66,6 +66,16 @@ def test_constants_are_found_within_their_errors(table):
     assert "m/s^2 (estimated); of accelerations" in found.noise.describe()
 
 
+def test_what_rattles_as_it_rolls_is_not_bound_to_its_middle(rng):
+    t = np.arange(600) * 0.01
+    push = 1.0 * ((t > 0.5) & (t < 1.5)) - 0.2 * ((t > 1.5) & (t < 5.5))
+    rattle = 0.8 * rng.standard_normal(len(t)) * ((t > 0.5) & (t < 5.5))
+    shown = push + rattle + 0.002 * rng.standard_normal(len(t))
+    frame = pd.DataFrame({"t": t, "ax": shown})
+    (scene,) = Dataset.from_frames(frame, units={"ax": "m/s^2", "t": "s"}).scenes
+    assert np.ptp(scene.positions[:, 0, 0]) > 1.0  # 3 m but for what errors add up to
+
+
 def test_what_brakes_comes_to_rest(rng):
     t = np.arange(300) * STEP
     a = np.where((t > 1) & (t < 3), -3.0, 0.0) + ZERO + SIGMA * rng.standard_normal(len(t))

@@ -51,7 +51,7 @@ DATA = {
     "text in a mass": ({E: edit("0.5", "heavy", BODIES)}, [E, "line 2", "column mass"]),
     "unknown unit": ({D: edit('"m"', '"ells"', TOML)}, [D, "'ells'"]),
     "unit of another kind": ({D: edit('"m"', '"K"', TOML)}, [D, "'K'"]),
-    "unit of time missing": ({D: edit('time = "s"\n', "", TOML)}, [D, "unit of time"]),
+    "unit of time missing": ({D: edit('time = "s"\n', "", TOML)}, ["[m/s^2]", "--units length=m"]),
     "no units at all": ({D: '[axes]\nup = "y"\n'}, ["[m/s^2]", "--units length=m time=s"]),
     "pixels": ({D: edit('"m"', '"px"', TOML)}, ["[m/s^2]", "[units]"]),
     "no vertical": (

@@ -114,8 +114,6 @@ DEFECTS = {
     "wrong dimension": (
         {T: GOOD, D: '[units]\nlength = "kg"\ntime = "s"\n'}, [D, "must be one of m", "'kg'"],
     ),
-    "missing length": ({T: GOOD, D: '[units]\ntime = "s"\n'}, [D, "no unit of length", "px"]),
-    "missing time": ({T: GOOD, D: '[units]\nlength = "m"\n'}, [D, "no unit of time"]),
     "unit of nothing": (
         {T: GOOD, D: '[units]\nlength = "m"\ntime = "s"\nmas = "g"\n'},
         [D, "'mas'", "length, time, mass", "entity"],
@@ -180,13 +178,20 @@ def test_too_many_short_tracks(tmp_path, monkeypatch):
         load_dataset(tmp_path)
 
 
+@pytest.mark.parametrize("unit", [{"length": "m"}, {"time": "s"}])
+def test_half_of_the_units_is_told_as_such(tmp_path, unit):
+    (tmp_path / T).write_text(GOOD, encoding="utf-8")
+    (other,) = {"length", "time"} - set(unit)
+    notes = " ".join(load_dataset(tmp_path, units=unit).notes)
+    assert f"check: no unit of {other} is given: {other}s stay numbers of the file" in notes
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         ({"fps": 0}, "fps must be positive"),
         ({"fps": "fast"}, "fps must be a finite number"),
         ({"fps": 1, "dt": 1}, "dt and fps"),
-        ({"units": {"length": "m"}}, "no unit of time"),
         ({"train": "zzz"}, "'zzz'"),
         ({"columns": {"x": "Q"}}, "'Q'"),
     ],

@@ -53,6 +53,14 @@ def test_nothing_is_missing_where_chance_shows_as_much():
     assert decided(row(1), p=0.02, criteria=Criteria(alpha=0.05)).is_adopted
 
 
+def test_a_hand_alone_is_told_only_where_no_force_does_nearly_as_well():
+    hand = row(1, "untrimmed", "measurement", gain=105.0)
+    assert decided(hand, row(2, gain=100.0)).reason == "kinds_tie"
+    assert decided(hand, row(2, gain=60.0)).reason == "adopted"
+    tilt = row(1, "tilt", "measurement", gain=105.0)
+    assert decided(tilt, row(2, gain=100.0)).reason == "adopted"
+
+
 def test_weight_comes_before_what_fits_as_well_without_it():
     base = replace(BASE, left=1.0)
     weight = row(1, gain=500.0, n_pushes=1, n_terms=1, left=0.04)
