@@ -13,7 +13,7 @@ AGREE = 5.0
 """Standard errors of their difference by which measures at one time may differ."""
 LISTED = 8
 LEAP, LEAST_LEAPS = 4.0, 10
-"""Times the least that two of its places differ by, which a body leaps before a reading that is held
+"""Times the least by which two places of a body differ that it leaps before a reading that is held,
 and behind it; and how many of these there are at least."""
 MOST_SLIPS = 0.01
 """Part of the rows of a body whose time may not be after those before."""
@@ -100,7 +100,7 @@ def without_held(rows):
         is_held[own] = _are_held(rows.positions[own])
     if not is_held.any():
         return rows, ()
-    return _left_out(rows, is_held, "hold the place of the row before, between two that are far apart")
+    return _left_out(rows, is_held, "hold the place of the row before, and leap to the next")
 
 
 def _are_held(places):

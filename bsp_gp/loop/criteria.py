@@ -25,11 +25,12 @@ push that has the period of the swing without it; "few_periods": one that was no
 back; "likelier_refused": adopted in the place of a likelier one that made predictions worse;
 "not_placed": an unseen body whose strength may be nothing; "swamped": noise with a memory would
 explain it, as large as the motion; "slight": it takes up less than half of the little that is
-left; "time_is_up": of what there was time for it is the likeliest, and leaves little; "at_bound": a
-constant inside it ends at its bound; "much_left": a third of the motion and more is left beside
-it; "laboratory": it acts along axes, or about a place, in the sky; "poorly_foreseen": one of several
-that fit as well, with which predictions are notably off, though not surely worse; "smooth_kicks":
-random kicks so slight that a force which changes smoothly is as likely."""
+left; "time_is_up": of what there was time for it is the likeliest, and leaves little;
+"at_bound": a constant inside it ends at its bound; "much_left": a third of the motion and more is
+left beside it; "laboratory": it acts along axes, or about a place, in the sky;
+"poorly_foreseen": one of several that fit as well, with which predictions are notably off, though
+not surely worse; "smooth_kicks": random kicks so slight that a force which changes smoothly is as
+likely."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""
 STOP_REASONS = (

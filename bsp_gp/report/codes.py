@@ -90,8 +90,8 @@ REASONS = {
     "nothing in the sky does",
     "smooth_kicks": "kicks so slight that many rows pass until one shows: a force that changes "
     "smoothly from place to place, or in time, moves the bodies as well",
-    "poorly_foreseen": "other forms fit as well, and with this one predictions of what was held out "
-    "are worse, though so few rows do not show it for sure",
+    "poorly_foreseen": "other forms fit as well, and with this one predictions of what was held "
+    "out are worse, though so few rows do not show it for sure",
     "at_bound": "a constant inside it ends at the bound of what it may be: another form is asked "
     "for",
     "few_periods": "no recording is as long as two of its periods: it was not seen to come back",

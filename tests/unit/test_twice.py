@@ -8,6 +8,7 @@ from bsp_gp import Dataset
 
 T = np.arange(240) * 0.02
 MOVING = np.stack([1.5 * T, 1.0 + 3.0 * T - 4.905 * T**2], axis=1)
+MOVING += np.random.default_rng(3).normal(0.0, 0.001, MOVING.shape)
 
 
 def loaded(places):

@@ -22,8 +22,8 @@ PIECE, SURELY_ODD = 400, 1e-6
 """Rows of a track on which kicks are asked first where there are many, and the chance of forecasts
 as odd, below which the others are not asked."""
 SMOOTH = 4.0
-"""Rows until kicks show above the noise, beyond which they may be a force of any other form: of
-beads it takes one or two, and eight or more where a body is pushed smoothly by what nobody lists."""
+"""Rows until kicks show above the noise, beyond which they may be a force of any other form: beads
+take one or two, and what nobody lists and pushes a body smoothly eight or more."""
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 UNITS = {
     "drag_rate": DIMENSIONLESS / TIME, "trap_rate": DIMENSIONLESS / TIME**2,
