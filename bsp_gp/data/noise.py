@@ -264,7 +264,7 @@ def _grid_steps(tracks):
     from it is that third differences of rounded tracks do not vanish. An axis along which they
     happen to vanish is rounded if it lies on the grid of one that shows it.
     """
-    own = [_grid_step(axis) for axis in tracks]
+    own = [grid_step(axis) for axis in tracks]
     seen = [s for s, axis in zip(own, tracks, strict=True) if s and _is_rough(axis, s)]
     whole = [next((s for s in seen if step and _is_multiple(step, s)), 0.0) for step in own]
     large = [_step_of_large(axis, step) for axis, step in zip(tracks, own, strict=True)]
@@ -284,7 +284,7 @@ def _step_of_large(tracks, step):
     values, best = np.abs(np.concatenate([np.empty(0), *(x for _, x in tracks)])), 0.0
     for part in _LARGE if len(values) else ():
         pieces = _of_size(tracks, np.quantile(values, part))
-        own = _grid_step(pieces)
+        own = grid_step(pieces)
         digits = math.log10(own / step) if own and step else 1.0
         is_coarser = own > 0 and digits > 0.5 and abs(digits - round(digits)) < 1e-3
         if is_coarser and _is_rough(pieces, own):
@@ -306,7 +306,7 @@ def _is_multiple(step, of):
     return step > 0.999 * of and abs(step / of - round(step / of)) < 1e-3
 
 
-def _grid_step(tracks):
+def grid_step(tracks):
     """Greatest common divisor of the gaps between all values (Euclid), 0.0 if it is rounding."""
     values = np.unique(np.concatenate([np.empty(0), *(x for _, x in tracks)]))
     rounding = 16 * np.finfo(float).eps * float(np.abs(values).max(initial=0.0))

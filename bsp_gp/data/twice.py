@@ -6,15 +6,16 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.extent import JULIAN, YEARS, are_within
+from bsp_gp.data.noise import grid_step
 from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK
 
 AGREE = 5.0
 """Standard errors of their difference by which measures at one time may differ."""
 LISTED = 8
-LEAP, LEAST_LEAPS = 4.0, 10
-"""Times the least by which two places of a body differ that it leaps before a reading that is held,
-and behind it; and how many of these there are at least."""
+LEAP, LEAST_LEAPS = 10.0, 10
+"""Steps of the grid of its places, if they are on one, that a body leaps before a reading that is
+held, and behind it; and how many of these there are at least."""
 MOST_SLIPS = 0.01
 """Part of the rows of a body whose time may not be after those before."""
 FEW, NEAR = 0.2, 0.25
@@ -97,22 +98,21 @@ def without_held(rows):
     is_held = np.zeros(len(rows.times), dtype=bool)
     key = rows.scene * len(rows.entity_names) + rows.entity
     for own in pd.Series(key).groupby(key).indices.values():
-        is_held[own] = _are_held(rows.positions[own])
+        is_held[own] = _are_held(rows.times[own], rows.positions[own])
     if not is_held.any():
         return rows, ()
     return _left_out(rows, is_held, "hold the place of the row before, and leap to the next")
 
 
-def _are_held(places):
+def _are_held(times, places):
     """Rows (n,) of one body, at places (n, d), that repeat a reading."""
     nothing, places = np.zeros(len(places), dtype=bool), places[:, np.isfinite(places).any(axis=0)]
     steps = np.abs(np.diff(places, axis=0))
     moving = np.flatnonzero(steps.any(axis=1))  # the last row of each reading, but of the last one
     if len(moving) < LEAST_LEAPS or not np.isfinite(places).all():
         return nothing
-    gaps = [np.diff(np.unique(own)) for own in places.T]
-    finest = [own.min() if len(own) else np.inf for own in gaps]  # a grid, or hardly anything
-    is_leap = (steps[moving] >= LEAP * np.array(finest)).any(axis=1)
+    grid = np.array([grid_step([(times, own)]) for own in places.T])
+    is_leap = ((steps[moving] > 0) & (steps[moving] >= LEAP * grid)).any(axis=1)
     firsts, lasts = np.append(0, moving + 1), np.append(moving, len(places) - 1)
     chosen = np.append(True, is_leap) & np.append(is_leap, True) & (lasts > firsts)
     within = chosen[1:-1]

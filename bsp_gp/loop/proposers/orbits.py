@@ -255,7 +255,7 @@ class _Scan:
         low = self.rates[0] / 2
         rates = np.asarray(rates)
         rates = np.concatenate([rates, rates[:5] / 2, rates[:5] / 3])
-        rates = rates[rates > low]
+        rates = rates[rates > low] if (rates > low).any() else np.array([low])
         phases = 2 * math.pi * np.arange(N_PHASES) / N_PHASES
         grid = [(rate, e, phase) for rate in rates for e in ECCENTRICITIES for phase in phases]
         gained = np.concatenate([
