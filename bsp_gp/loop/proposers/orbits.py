@@ -34,8 +34,13 @@ BLOCK = 400
 """Periods that are scored at a time."""
 N_FIRSTS, N_PAIR_DRAWS = 60, 20
 """Periods beside which a second is sought, and draws of noise in which it is."""
-N_PEAKS, N_PHASES, N_BEST = 30, 16, 3
-"""Periods at which ellipses are tried, times of the closest approach, and starts of descents."""
+DAY, N_ALIASED = 86164.09, 6
+"""A turn of the Earth, s, after which the sky comes back; and peaks with which that is reckoned."""
+N_PEAKS, PEAK_ROWS, N_PHASES = (30, 300), 15_000, 16
+"""Fewest and most periods at which ellipses are tried, these times rows, and times of the closest
+approach."""
+N_BEST, N_DESCENTS = 2, 12
+"""Descents that begin at one period, and periods at which they do."""
 ECCENTRICITIES = (0.1, 0.3, 0.5, 0.7, 0.85, 0.93)
 NAMES = ("P", "K", "longitude", "e", "omega")
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
@@ -67,8 +72,8 @@ class Orbits:
         if not len(scan.rates):
             return Family(self.name, (trend,), null=np.zeros(len(view.row_draws)))
         gains = scan.circles()
-        rates = scan.rates[_peaks(gains[:, 0], N_PEAKS)]
-        found = scan.closer(rates[0]), scan.ellipse(rates)
+        rates = scan.peaks(gains[:, 0])
+        found = scan.closer(rates[0]), scan.ellipse(scan.with_aliases(rates))
         proposals = (trend, *(_proposal(view, scan, (orbit,)) for orbit in found))
         return _family(self.name, scan, proposals, gains.max(axis=0), 2)
 
@@ -107,7 +112,7 @@ class OrbitPairs:
             k = int(np.argmax(draw))
             null.append(draw[k] + scan.seconds(scan.rates[k], n).max())
         pairs = scan.pairs(*rates)
-        oval = scan.ellipse(scan.rates[_peaks(gains[:, 0], N_PEAKS)])
+        oval = scan.ellipse(scan.peaks(gains[:, 0]))
         beside = scan.beside(oval)
         other = beside.closer(beside.rates[int(np.argmax(beside.circles()[:, 0]))])
         pairs += [(oval, other), (scan.beside(other).ellipse([oval[0]]), other)]
@@ -236,6 +241,24 @@ class _Scan:
         )  # fmt: skip
         return [(a, b) for a in (round_[0], oval[0]) for b in (round_[1], oval[1])]
 
+    def peaks(self, gains):
+        """Rates about which ellipses are tried: of what is far from a circle few circles gain much.
+
+        The fewer rows there are, the more.
+        """
+        count = PEAK_ROWS // max(int(self.is_own.sum()), 1)
+        return self.rates[_peaks(gains, int(np.clip(count, *N_PEAKS)))]
+
+    def with_aliases(self, rates):
+        """Rates, and those that look like the first of them to who looks once a day.
+
+        Of an orbit that is no circle the alias may be the higher peak.
+        """
+        day = 2 * math.pi / DAY
+        others = np.abs(rates[:N_ALIASED, None] + day * np.array([-2, -1, 1, 2])).ravel()
+        is_asked = (others > self.rates[0]) & (others < self.rates[-1])
+        return np.concatenate([rates, others[is_asked]])
+
     def closer(self, rate):
         """The best circle near a rate: rate, eccentricity 0, phase."""
         step = 2 * math.pi / (OVERSAMPLING * self.span)
@@ -267,9 +290,14 @@ class _Scan:
         def left(numbers):
             return self._left(self._columns(*numbers))[0]
 
-        best = None
-        for k in np.argsort(-gained)[:N_BEST]:
+        best, tried = None, []
+        for k in np.argsort(-gained):
             rate, e, phase = grid[k]
+            if tried.count(rate) == N_BEST:
+                continue
+            tried.append(rate)
+            if len(tried) > N_BEST * N_DESCENTS:
+                break
             found = least_squares(
                 left, grid[k], x_scale=(step / OVERSAMPLING, 0.1, 0.3),
                 bounds=((max(rate - step, low / 4), 0.0, phase - 4.0),
