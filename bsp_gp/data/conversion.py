@@ -110,7 +110,7 @@ class Conversion:
     """
 
     def __init__(
-        self, declared, columns, file=None, has_fps=False, may_be_half=False, of_sight=False
+        self, declared, columns, file=None, has_fps=False, may_be_half=True, of_sight=False
     ):  # fmt: skip
         columns = set(columns)
         self.declared = {key: _as_written(text) for key, text in declared.items()}

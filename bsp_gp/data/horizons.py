@@ -35,11 +35,12 @@ def plain_horizons(text, path):
     DataError
         Where an observer table says no place.
     """
-    begin = re.search(rf"^(.*?){re.escape(BEGIN)}\s*$", text, re.M)
+    begin = re.search(rf"^(.*?){re.escape(BEGIN)}[\s,]*$", text, re.M)
     if begin is None:
         return text
     mark = begin[1].strip()  # someone's sign of a comment
     lines = [line.removeprefix(mark) if mark else line for line in text.splitlines()]
+    lines = [line.rstrip(", ") for line in lines]  # of a spreadsheet that has saved it again
     at = next(k for k, line in enumerate(lines) if line.strip() == BEGIN)
     end = next((k for k in range(at, len(lines)) if lines[k].strip() == END), len(lines))
     above = lines[:at]

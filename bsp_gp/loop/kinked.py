@@ -116,7 +116,11 @@ def in_flights(dataset):
         "each flight is followed from a state of its own, and the wall is no part of the law"
     )
     cut = cut_at(dataset, {name: own for name, own in edges.items() if own}, note)
-    long = tuple(scene for scene in cut.scenes if len(scene.times) >= LEAST_FLIGHT)
+    long = tuple(
+        scene for scene in cut.scenes
+        if len(scene.times) >= LEAST_FLIGHT
+        and np.ptp(scene.positions[:, scene.dynamic], axis=0).any()
+    )  # fmt: skip
     names = {scene.name for scene in long}
     sides = {side: tuple(n for n in getattr(cut, side) if n in names) for side in ("train", "test")}
     return replace(cut, scenes=long, **sides) if len(long) > 1 else None

@@ -399,7 +399,8 @@ def _numbers(law, scan, values):
     period = Prior("log_uniform", math.pi / scan.rates[-1], 2 * math.pi * SLOWER / scan.rates[0])
     size = Prior("log_uniform", error / 100, 1e6 * error)
     angle, ever = AnyAngle(), (-math.inf, math.inf)
-    names = fresh_names(law, NAMES).values()
+    number = fresh_names(law, NAMES[:1])[NAMES[0]][1:]  # a circle before it has fewer names
+    names = [name + number for name in NAMES]
     of = (
         (TIME, period.low, period.high, period), (LENGTH, 0.0, size.high, size),
         (DIMENSIONLESS, *ever, angle),
