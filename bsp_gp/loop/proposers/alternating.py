@@ -49,7 +49,7 @@ class Alternating:
         if view.fit.law.terms or not 0 < view.n_pairs <= MOST_PAIRS or not asks_series(view):
             return nothing
         rates = rates_of(view)
-        if not len(rates) or view.is_astronomical:
+        if not len(rates) or view.is_sky:
             return nothing
         scan, found = Scan(view, rates, np.column_stack([view.left, view.draws_left])), []
         for form, nats in self.forms.items():

@@ -45,7 +45,7 @@ class Blown:
     def propose(self, view):
         """The family of the likeliest sums, where no law of the grammar explains all."""
         axes = moving_axes(view)
-        if view.is_astronomical or not asks_series(view):
+        if view.is_sky or not asks_series(view):
             return Family(self.name)
         upright = axes[np.argmax(velocities_seen(view)[:, axes].std(axis=0))]  # of a weight
         libraries = [_thinning(view, axes, upright)]

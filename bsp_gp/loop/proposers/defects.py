@@ -71,7 +71,7 @@ class Defects:
             ("clock_jump", closed, gained, n_still),
         ]
         # What goes round in the sky is neither let go nor lands.
-        asked = [] if view.is_astronomical else list(filter(is_open, chains))
+        asked = [] if view.is_sky else list(filter(is_open, chains))
         ends, bare, n_ends = _untrimmed(view, asked)
         if len(ends) > 1:  # one alone is a track that is lost
             kinds.append(("untrimmed", ends, bare, n_ends))

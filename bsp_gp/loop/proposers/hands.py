@@ -37,7 +37,7 @@ class Hands:
         """The family of one: all ends that pay for being left out."""
         levels = np.array(estimate_noise(view.dataset).sigma)
         even, found, n_tried = np.zeros(1 + len(view.row_draws)), [], 0
-        for chain in () if view.is_astronomical else filter(is_open, chains_of(view)):
+        for chain in () if view.is_sky else filter(is_open, chains_of(view)):
             track = _track(chain, levels)
             if track is None:
                 continue

@@ -54,7 +54,7 @@ class OwnLaws:
         null = np.zeros(view.moment_draws.shape[1])
         names = {s.names[k] for s in view.dataset.scenes for k in s.dynamic}
         meet = any(len(s.dynamic) > 1 for s in view.dataset.scenes)
-        if view.is_astronomical or not (meet and FEWEST <= len(names) <= MOST):
+        if view.is_sky or not (meet and FEWEST <= len(names) <= MOST):
             return Family(self.name, null=null)
         forms, keys, columns = self._columns(view)
         if not forms:

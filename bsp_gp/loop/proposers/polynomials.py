@@ -85,7 +85,7 @@ class Polynomials:
             libraries.append(_about_a_place(view, axes[0], *extents[0]))
         else:
             libraries.append(_about_a_centre(view, axes, extents, self._placed()))
-            if not view.is_astronomical:  # in the sky nothing is tied by springs
+            if not view.is_sky:  # there nothing is tied by springs
                 libraries.append(_about_a_post(view, axes, extents))
         return family_of(self.name, view, [library for library in libraries if library])
 

@@ -36,7 +36,7 @@ class Ripples:
         """The family of all wavenumbers."""
         axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
         numbers = _wavenumbers(view, axes)
-        if view.is_astronomical or not len(numbers):
+        if view.is_sky or not len(numbers):
             return Family(self.name, null=np.zeros(view.moment_draws.shape[1]))
         scan = _Placed(view, numbers, np.column_stack([view.left, view.draws_left]))
         kinds = (

@@ -83,7 +83,7 @@ class Rods:
 
     def propose(self, view):
         """The family of all distances and lines of bodies that are not held already."""
-        if view.is_astronomical:  # no rod is as long: an orbit of small eccentricity is a circle
+        if view.is_sky:  # no rod is as long: an orbit of small eccentricity is a circle
             return Family(self.name)
         pairs = [pair for part in constraints_of(view.fit.law) for pair in part.pairs]
         held = {name for pair in pairs for name in pair}

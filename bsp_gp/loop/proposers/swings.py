@@ -67,7 +67,7 @@ class Swings:
         scenes = view.dataset.scenes
         names = dict.fromkeys(s.names[k] for s in scenes for k in s.dynamic)
         # In the sky nothing is tied by springs, but orbits are seen edge on.
-        is_sky = view.is_astronomical and view.dataset.n_moving_axes > 1
+        is_sky = view.is_sky and view.dataset.n_moving_axes > 1
         if not self.forms or is_sky or len(names) > MOST_BODIES:
             return Family(self.name)
         is_alone = all(len(s.dynamic) == 1 for s in scenes)

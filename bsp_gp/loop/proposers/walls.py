@@ -63,7 +63,7 @@ class Walls:
     def propose(self, view):
         """The family of all walls that tracks turn back at."""
         # A body on a rod or a wire turns back where that leads it.
-        if view.is_astronomical or view.fit.paper_steps or constraints_of(view.fit.law):
+        if view.is_sky or view.fit.paper_steps or constraints_of(view.fit.law):
             return Family(self.name)
         found = _jumps_of(view)
         known = {(part.axis, part.side) for part in walls_of(view.fit.law)}
