@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bsp_gp.units import OF_THE_SKY, Unit
+from bsp_gp.units import OF_THE_SKY, Unit, parse_unit
 
 ASTRONOMICAL = 1e6
 """Size of the data from which an attraction is gravity, and nothing is held, m."""
@@ -34,14 +34,18 @@ def is_of_the_sky(dataset):
     """
     if dataset.is_of_sight:
         return True
-    if not dataset.units.declared:
-        return all(map(_is_dated, dataset.scenes))
-    return is_astronomical(dataset) or dataset.units.symbols.get("m") in OF_THE_SKY
+    if is_astronomical(dataset) or dataset.units.symbols.get("m") in OF_THE_SKY:
+        return True
+    declared = dataset.units.declared
+    told = declared.get("time", declared.get("t"))
+    unit = parse_unit(told)[0] if told else 1.0
+    is_far = not {"length", *"xyz"} & set(declared)
+    return is_far and all(_is_dated(scene.times / unit) for scene in dataset.scenes)
 
 
-def _is_dated(scene):
+def _is_dated(times):
     """Whether times are decimal years, or Julian dates."""
-    first, last = scene.times[[0, -1]]
+    first, last = times[[0, -1]]
     return any(are_within(first, last, (span,)) and last - first > least for span, least in DATED)
 
 

@@ -25,7 +25,7 @@ _ERROR = _set("error err e sigma σ sig std sd unc uncertainty u fehler erreur i
 _GLUED = re.compile(r"(?:err|sigma|sig|unc|e|σ|s)_?(.+)|(.+?)_?(?:error|err|sigma|sig|unc)")
 """``erho``, ``σθ``, ``PAerr``: an error without a blank."""
 _YEAR = _set("year years yr jahr jahre année anno año jyear byear besselian bessel julian decimal")
-_DAY = _set("jd mjd hjd bjd julian")
+_DAY = _set("jd mjd hjd bjd julian jdtdb jdut jdutc jdtt tdb tt utc")
 _DATE = _set("date epoch ep obs observed observation of time day days t") | _YEAR | _DAY
 
 
@@ -96,6 +96,13 @@ def date_unit(text):
     if not words or not words <= _DATE or words <= _set("obs observed of"):
         return None
     return "yr" if words & _YEAR else "day" if words & _DAY else ""
+
+
+def is_date(text):
+    """Whether a heading speaks of dates, and not of any time."""
+    return date_unit(text) is not None and bool(
+        plain_words(text) & (_set("date epoch ep") | _YEAR | _DAY)
+    )
 
 
 def is_julian(text):

@@ -7,6 +7,7 @@ coordinate as they are, ``x`` in m/s or km/s, which stays as it is where nothing
 import re
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
 
 from bsp_gp.data.extent import JULIAN
@@ -27,6 +28,8 @@ SIGHT_NAMES = ("rv", "srv")
 LEAST_DATE, UNEVEN = 1000.0, 3.0
 """Days that Julian dates count from a later zero, at the least; upper quartile of the steps between
 nights, in their lower one, at the least."""
+SUREST = 0.1
+"""Errors below which numbers without a unit are km/s: no spectrograph knows m/s so well."""
 _ERRORS = frozenset("errvel velerr svrad sigrv rverr errrv erv urv rvunc drv".split())
 
 
@@ -108,10 +111,14 @@ def along_sight(table, declaration, column):
     unit = said.get(column, said.get("velocity", table.units.get(column, "")))
     notes = [f"{heading!r} is read as velocities along the line of sight: no places are known, and "
              "companions are sought in these"]  # fmt: skip
+    error = _error_of(table, column, heading, unit)
     if not unit:
-        unit = "m/s"
+        sure = np.nanmedian(table.frame[error]) if error else np.inf
+        unit, other = ("m/s", "km/s") if sure >= SUREST else ("km/s", "m/s")
         notes.append(in_python(
-            f"{CHECK}{heading!r} has no unit: m/s is taken; --units velocity=km/s says otherwise"
+            f"{CHECK}{heading!r} has no unit: {unit} is taken"
+            f"{'' if unit == 'm/s' else ', since errors as small are of none in m/s'}; "
+            f"--units velocity={other} says otherwise"
         ))  # fmt: skip
     elif not is_speed(unit):
         raise DataError(
@@ -120,7 +127,6 @@ def along_sight(table, declaration, column):
         )  # fmt: skip
     table = _with_days(with_date_unit(table, declaration), declaration)
     own = {column: "x"}
-    error = _error_of(table, column, heading, unit)
     if error:
         own[error] = "sx"
         notes.append(f"{table.unused.get(error, error)!r} is taken as its error")
@@ -153,7 +159,7 @@ def _error_of(table, column, heading, unit):
     found = [
         name for name, text in table.unused.items()
         if name != column and name in table.frame and _is_its_error(text, heading)
-        and table.units.get(name, unit) == unit
+        and (not unit or table.units.get(name, unit) == unit)
         and pd.api.types.is_numeric_dtype(table.frame[name])
     ]  # fmt: skip
     return found[0] if len(found) == 1 else ""

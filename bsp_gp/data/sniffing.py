@@ -1,6 +1,7 @@
 """The layout of a delimited file, guessed from its first lines."""
 
 import re
+import sys
 from dataclasses import dataclass
 
 from bsp_gp.data.conversion import is_unit
@@ -214,14 +215,20 @@ def clock_among(columns):
     rising, even = [], []
     for k, cells in enumerate(columns):
         steps = _steps(cells)
-        if len(steps) < LEAST_STEPS or sum(step > 0 for step in steps) < RISES * len(steps):
+        if len(steps) < LEAST_STEPS or not _mostly_rises(cells):
             continue
         rising.append(k)
         is_count = all(step == 1 for step in steps)
-        if not is_count and max(steps) - min(steps) <= ROUNDED * _last_digit(cells):
+        least = 16 * sys.float_info.epsilon * max(map(abs, _numbers(cells)))  # of a difference
+        if not is_count and max(steps) - min(steps) <= max(ROUNDED * _last_digit(cells), least):
             even.append(k)
     found = even or rising
     return found[0] if len(found) == 1 else None
+
+
+def _mostly_rises(cells):
+    steps = _steps(cells)
+    return sum(step > 0 for step in steps) >= RISES * len(steps)
 
 
 def _last_digit(cells):
@@ -264,6 +271,9 @@ def _remedy_of_numbers(cells, lines, delimiter):
         pushes = " ".join(f"a{axis}={k + 1}" for axis, k in zip("xyz", moving, strict=False))
         by_number = (f"--columns t={clock + 1} x={x + 1} (column {clock + 1} increases from row to "
                      f"row; y=, z= of further axes; t={clock + 1} {pushes} of accelerations)")
+    elif columns and not any(map(_mostly_rises, columns)):
+        by_number = "--columns x=1 y=2 --fps 25 (no column increases from row to row: if every row "
+        by_number += "is a frame, that says how many are in a second)"
     else:
         by_number = "--columns t=1 x=2 (t=2 x=3 where the first counts rows or bodies"
         by_number += "; t=1 ax=2 ay=3 az=4 of accelerations)" if len(cells) > 3 else ")"

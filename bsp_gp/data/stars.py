@@ -12,6 +12,7 @@ from bsp_gp.data.extent import JULIAN, YEARS
 from bsp_gp.data.polar import POLAR_ALIASES, is_polar
 from bsp_gp.data.polar_words import (
     date_unit,
+    is_date,
     is_besselian,
     is_far,
     is_of_sky,
@@ -90,6 +91,12 @@ def _own_names(table, declaration):
     units = {ours.get(key, key): sky_unit(text) for key, text in declaration.units.items()}
     table = replace(table, units={key: sky_unit(text) for key, text in table.units.items()})
     return table, replace(declaration, units=units)
+
+
+def with_named_dates(table, declaration):
+    """The table with a unit of its times where they are called dates, and leave no doubt."""
+    is_told = "t" in table.frame and is_date(table.theirs.get("t", "t"))
+    return with_date_unit(table, declaration) if is_told else table
 
 
 def with_date_unit(table, declaration):

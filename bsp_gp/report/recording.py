@@ -37,8 +37,9 @@ def data_text(dataset):
     columns = dataset.provenance.get("columns")
     lines += [f"Columns: {columns}"] if columns else []
     lines += [_units(dataset), *_scenes(dataset), f"Bodies: {listed(names, _MAX_NAMES)}"]
-    lines += _properties(dataset)
-    lines += [*_first(dataset), _up(dataset), *_motion(dataset)]
+    if not dataset.is_of_sight:
+        lines += [*_properties(dataset), *_first(dataset), _up(dataset)]
+    lines += _motion(dataset)
     lines += [f"Note: {note}" for note in dataset.notes]
     return "\n".join(lines)
 
@@ -66,7 +67,8 @@ def _counted(n, one, many=None):
 
 def _units(dataset):
     declared = dataset.units.declared
-    kinds = [f"{kind} in {declared[kind]}" for kind in ("length", "time", "mass")
+    words = {"length": "velocity"} if dataset.is_of_sight else {}
+    kinds = [f"{words.get(kind, kind)} in {declared[kind]}" for kind in ("length", "time", "mass")
              if kind in declared]  # fmt: skip
     if kinds:
         shown = [_told(dataset, unit)[1] for unit in (_LENGTH, _TIME)]
@@ -166,13 +168,13 @@ def _motion(dataset):
     out = []
     for axis, name in enumerate("xyz"[: dataset.n_dims]):
         if not math.isfinite(noise.sigma[axis]):
-            out.append(f"Axis {name}: nothing moves along it")
+            out += [] if dataset.is_of_sight else [f"Axis {name}: nothing moves along it"]
             continue
         values = [s.positions[:, s.dynamic, axis].ravel() for s in dataset.scenes]
         values = factor * np.concatenate(values)
         low, high = np.nanmin(values), np.nanmax(values)
         out.append(
-            f"Axis {name}: from {format_number(float(low), 4)} to "
+            f"{'Velocity' if dataset.is_of_sight else f'Axis {name}'}: from {format_number(float(low), 4)} to "
             f"{with_unit(format_number(float(high), 4), length)}, noise "
             f"{with_unit(format_number(factor * noise.sigma[axis], 2), length)} ({noise.source})"
         )
