@@ -341,13 +341,16 @@ def _is_clock(table, column):
 
 _SYMBOLS = frozenset("aAvVfF")
 """Of a speed, an acceleration, a force: no places."""
+_SENSED = re.compile(r"[gmw][xyz]")
+"""Of a gyroscope, or a compass."""
 
 
 def _may_be_place(table, column, axis):
     """Whether a column that means nothing to us may be a coordinate: nothing else speaks of it."""
     cells, unit = table.frame[column], table.units.get(column, "")
     is_number = pd.api.types.is_numeric_dtype(cells)
-    if not is_number or cells.nunique() < 2 or is_error(column) or is_count(column):
+    is_sensed = is_acceleration(column) or _SENSED.fullmatch(column.lower())
+    if not is_number or cells.nunique() < 2 or is_error(column) or is_count(column) or is_sensed:
         return False
     if unit or column in _SYMBOLS:
         return bool(unit) and unit_of(unit) == Unit.of(m=1)

@@ -276,7 +276,7 @@ def run_of(title):
 
 def is_acceleration(text):
     """Whether a heading speaks of an acceleration."""
-    is_symbol = re.fullmatch(r"(?:a|acc|accel)[\s_]?[xyz]", text.strip().lower()) is not None
+    is_symbol = re.fullmatch(r"(?:a|acc|accel)[\s_]?[xyz](?:_g)?", text.strip().lower()) is not None
     is_symbol = is_symbol or _G_FORCE.fullmatch(text.strip()) is not None
     return is_symbol or bool(words_of(text) & _ACCELERATION_WORDS)
 
@@ -547,6 +547,8 @@ def _split_unit(cell, back, is_track):
             return stem, match[2].strip()
         if is_track and property_of_words(stem, match[2].strip()):
             return stem, match[2].strip()
+        if is_track and is_acceleration(stem) and match[2].strip() == "g":
+            return stem, "g"
         is_turn = is_angle_word(stem) or (is_track and _guess(stem) == "x")
         is_turn = is_turn and match[2].strip().lower() in ANGLES
         if is_track and (is_turn or (is_far(stem) and is_of_sky(match[2]))):

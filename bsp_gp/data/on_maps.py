@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.headings import BY_WORDS
+from bsp_gp.data.notes import LISTED, listed
 from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.roster import GAP, fail_at, numbers_of
+from bsp_gp.data.scene import CHECK
 from bsp_gp.units import parse_unit
 
 _LATITUDE = frozenset("lat latitude breite breitengrad latitud latitudine".split())
@@ -41,6 +43,13 @@ def from_maps(table, declaration):
             units={n: u for n, u in table.units.items() if n != "x"},
         )  # fmt: skip
     lat, lon = numbers_of(table, latitude), numbers_of(table, longitude)
+    is_lost = (lat == 0) & (lon == 0)
+    if 0 < np.count_nonzero(is_lost) < len(lat) - 1:  # a receiver without a fix
+        lines = table.frame.index[is_lost].tolist()
+        told = (f"{CHECK}{len(lines)} row(s) say that latitude and longitude are 0, as receivers do "
+                f"that see no satellites: left out (line {listed(lines, LISTED)})")  # fmt: skip
+        table = replace(table, frame=table.frame[~is_lost], notes=(*table.notes, told))
+        lat, lon = lat[~is_lost], lon[~is_lost]
     if "x" in table.frame or ("y" in table.frame and np.ptp(lat) == np.ptp(lon) == 0):
         return table  # all that moves is seen
     if (np.abs(lat) > 90).any():
