@@ -46,8 +46,8 @@ def from_maps(table, declaration):
     is_lost = (lat == 0) & (lon == 0)
     if 0 < np.count_nonzero(is_lost) < len(lat) - 1:  # a receiver without a fix
         lines = table.frame.index[is_lost].tolist()
-        told = (f"{CHECK}{len(lines)} row(s) say that latitude and longitude are 0, as receivers do "
-                f"that see no satellites: left out (line {listed(lines, LISTED)})")  # fmt: skip
+        told = (f"{CHECK}{len(lines)} row(s) say that latitude and longitude are 0, as receivers "
+                f"do that see no satellites: left out (line {listed(lines, LISTED)})")  # fmt: skip
         table = replace(table, frame=table.frame[~is_lost], notes=(*table.notes, told))
         lat, lon = lat[~is_lost], lon[~is_lost]
     if "x" in table.frame or ("y" in table.frame and np.ptp(lat) == np.ptp(lon) == 0):

@@ -12,8 +12,8 @@ from bsp_gp.data.extent import JULIAN, YEARS
 from bsp_gp.data.polar import POLAR_ALIASES, is_polar
 from bsp_gp.data.polar_words import (
     date_unit,
-    is_date,
     is_besselian,
+    is_date,
     is_far,
     is_of_sky,
     is_position_angle,

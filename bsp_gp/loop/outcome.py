@@ -102,6 +102,19 @@ class Effect:
         return {name: getattr(self, name) for name in kept}
 
 
+WIDEST = 3.0
+"""Width of the interval of a power up to which its best value is told: friction, linear and
+quadratic drag lie within it."""
+
+
+def is_open(exponent):
+    """Whether the data leave a power, as an effect has it, so open that its value says nothing.
+
+    Several forces of such powers are a series that follows any curve.
+    """
+    return not exponent["high"] - exponent["low"] <= WIDEST
+
+
 @dataclass(frozen=True)
 class RoundRecord:
     """One round as it is reported.

@@ -23,7 +23,7 @@ from bsp_gp.loop.constancy import Z_90, Constancy
 from bsp_gp.loop.criteria import FORESEEING, KICKED
 from bsp_gp.loop.decide import share_of_listed
 from bsp_gp.loop.foresight import NO_BETTER, NOTABLE, foresees
-from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, law_record
+from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, is_open, law_record
 from bsp_gp.loop.proposal import is_turning
 from bsp_gp.loop.proposers.exponents import base_of
 from bsp_gp.loop.proposers.priors import AXES
@@ -44,7 +44,7 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
     "likelier_refused", "at_bound", "much_left", "laboratory", "poorly_foreseen",
-    "smooth_kicks",
+    "smooth_kicks", "open_powers",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
@@ -93,8 +93,8 @@ def record_of(
         verdict, reason = "effective law", UNLISTED[unlisted.code]
     elif verdict == "effect adopted" and doubt and decision.best.kind in FORESEEING:
         verdict, reason = "effective law", doubt
-    elif verdict == "effect adopted" and getattr(done.proposals[decision.best.id], "is_smooth", 0):
-        verdict, reason = "effective law", "smooth_kicks"
+    elif verdict == "effect adopted" and (other := _own_doubt(done, effect)):
+        verdict, reason = "effective law", other
     return RoundRecord(
         number=done.number,
         missing=Missing(
@@ -118,6 +118,14 @@ def record_of(
         seconds=done.seconds,
         trace=done.trace,
     )  # fmt: skip
+
+
+def _own_doubt(done, effect):
+    """Why what a round adopted only describes the tracks, by itself; "" where nothing says so."""
+    if getattr(done.proposals[done.decision.best.id], "is_smooth", False):
+        return "smooth_kicks"
+    is_series = len({e["term"] for e in effect.exponents if is_open(e)}) > 1
+    return "open_powers" if is_series else ""
 
 
 def is_many(rounds, removed):

@@ -88,6 +88,7 @@ REASONS = {
     "much_left": "much of the motion is left beside it, which nothing that was tried explains",
     "laboratory": "it acts along the axes of a picture, or about a place where nothing is seen, as "
     "nothing in the sky does",
+    "open_powers": "several forces of which these data do not tell the powers follow any curve",
     "smooth_kicks": "kicks so slight that many rows pass until one shows: a force that changes "
     "smoothly from place to place, or in time, moves the bodies as well",
     "poorly_foreseen": "other forms fit as well, and with this one predictions of what was held "

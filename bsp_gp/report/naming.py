@@ -7,6 +7,7 @@ from bsp_gp.data.conversion import is_unit
 from bsp_gp.language.formula import Call, Number, factors
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.render import to_text
+from bsp_gp.loop.outcome import is_open
 from bsp_gp.physics.force import split_linear
 from bsp_gp.report.codes import CAUSES
 from bsp_gp.report.numbers import format_number, format_value, pretty_unit, with_unit
@@ -58,11 +59,6 @@ def describe(formula, value=None, other="the other body", exponents=()):
 
 FARTHEST = 4.0
 """Powers from the one in the law up to which an estimate to first order reaches."""
-WIDEST = 3.0
-"""Width of the interval of a power up to which its best value is told: friction, linear and
-quadratic drag lie within it."""
-
-
 def _loose(e):
     value, low, high = (format_number(e[key], 2) for key in ("value", "low", "high"))
     word = size_name(e["of"])
@@ -73,7 +69,7 @@ def _loose(e):
 
 def is_untold(exponent):
     """Whether the data leave a power so open that its best value says nothing."""
-    return is_beyond(exponent) or not exponent["high"] - exponent["low"] <= WIDEST
+    return is_beyond(exponent) or is_open(exponent)
 
 
 def is_beyond(exponent):

@@ -173,8 +173,9 @@ def _motion(dataset):
         values = [s.positions[:, s.dynamic, axis].ravel() for s in dataset.scenes]
         values = factor * np.concatenate(values)
         low, high = np.nanmin(values), np.nanmax(values)
+        what = "Velocity" if dataset.is_of_sight else f"Axis {name}"
         out.append(
-            f"{'Velocity' if dataset.is_of_sight else f'Axis {name}'}: from {format_number(float(low), 4)} to "
+            f"{what}: from {format_number(float(low), 4)} to "
             f"{with_unit(format_number(float(high), 4), length)}, noise "
             f"{with_unit(format_number(factor * noise.sigma[axis], 2), length)} ({noise.source})"
         )
