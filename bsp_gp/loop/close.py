@@ -521,6 +521,7 @@ def _written(
         writing_up.doubt_of_periods(rounds, pruned.removed)
         or writing_up.doubt_of_sources(rounds, pruned.removed)
         or writing_up.doubt_of_bounds(rounds, pruned.removed)
+        or writing_up.doubt_of_axes(rounds, pruned.removed, dataset)
         or writing_up.doubt_of_rest(first, last, rounds, bound)
     )
     doubt = "many_causes" if writing_up.is_many(rounds, pruned.removed) else doubt

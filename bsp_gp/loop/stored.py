@@ -134,11 +134,13 @@ def formula_of(text, dataset):
     types = input_types(units, vectors=vectors, n_dims=dataset["n_dims"], up=dataset["up"])
     for name, known in inputs.items():
         types[name] = Type("vector" if known["is_vector"] else "scalar", _unit(known))
-    try:
-        system = UnitSystem.from_declared(dataset["units"])
-        return parse_formula(text, types, units=system) if text else None
-    except LawError:
-        return None
+    # Laws of a table have base units, whatever the data are in.
+    for system in (UnitSystem.from_declared(dataset["units"]), UnitSystem()):
+        try:
+            return parse_formula(text, types, units=system) if text else None
+        except LawError:
+            continue
+    return None
 
 
 def _formula(text, dataset):

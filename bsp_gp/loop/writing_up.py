@@ -16,7 +16,7 @@ from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.fitting.parts.hidden import HiddenSource
 from bsp_gp.fitting.periodogram import is_of_swing, longest, rates_in
-from bsp_gp.language.formula import Input, factors
+from bsp_gp.language.formula import Call, Input, Number, factors, walk
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.constancy import Z_90, Constancy
@@ -244,7 +244,8 @@ def doubt_of_axes(rounds, removed, dataset):
 
 def _is_oblate(formula):
     """Whether it falls off as the flattening of a centre does, about an axis of its own."""
-    return "^-5" in to_text(formula)
+    powers = (p.args[1] for p in walk(formula) if isinstance(p, Call) and p.operator == "pow")
+    return any(isinstance(power, Number) and power.value == -5 for power in powers)
 
 
 def doubt_of_rest(first, last, rounds, bound):
