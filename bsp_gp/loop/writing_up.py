@@ -175,9 +175,11 @@ def is_idle(rounds, removed, ratio):
         Of the errors of predictions.
     """
     found = [r.decision.best for r in _kept(rounds, removed)]
-    is_missing = rounds[-1].decision.verdict in ("seen, not adopted", "cannot tell")
-    is_open = is_missing and not rounds[-1].decision.is_adopted
-    moves = any(foresees(best) or best.kind in ("kicks", "noise") for best in found)
+    end = rounds[-1].decision
+    is_open = end.verdict in ("seen, not adopted", "cannot tell") and not end.is_adopted
+    # A memory of the noise is an account, unless it is as large as the motion.
+    moving = ("kicks",) if end.reason == "swamped" else ("kicks", "noise")
+    moves = any(foresees(best) or best.kind in moving for best in found)
     return bool(found) and is_open and not moves and not ratio.value < NO_BETTER
 
 
