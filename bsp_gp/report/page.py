@@ -92,12 +92,18 @@ def page_of(report):
 
 
 def _other_form(effect, dataset):
-    """In plain words, the likeliest form that fits as well as one that is no fact; "" if none."""
+    """In plain words, the likeliest form that fits as well as one that is no fact; "" if none.
+
+    Of those with more numbers some always do.
+    """
     is_open = any(not e["is_told"] for e in effect.exponents)  # its interval says as much
     if effect.is_fact or is_open or effect.kind not in ("pair", "field"):
         return ""
-    words = (_in_words(law, dataset) for law in effect.equivalents)
-    return next((text for text in words if text and text != effect.name), "")
+    laws = {text: formula_of(text, dataset) for text in effect.equivalents}
+    plain = [text for text, law in laws.items()
+             if law is not None and len(law.constants) <= len(effect.constants)]  # fmt: skip
+    words = (_in_words(text, dataset) for text in plain)
+    return next((text for text in words if text != effect.name), "")
 
 
 def _ratio(ratio):
