@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from bsp_gp.loop.criteria import FORESEEING, Criteria
+from bsp_gp.loop.criteria import FORESEEING, KICKED, Criteria
 from bsp_gp.loop.slight import MOST_CAUSES
 from bsp_gp.loop.table import SAME_MINIMUM
 
@@ -88,8 +88,10 @@ def decide(table, criteria=None):
         return Decision("seen, not adopted", "no_better_than_before", seen, False, rivals)
     if _is_refused(best, criteria):
         return Decision("seen, not adopted", "held_out_refuses", best, False, rivals)
-    # A hand moves a body in any way: rows are left to one alone where no force does nearly as well.
-    tie = criteria.class_nats if best.code == "untrimmed" else criteria.tie_nats
+    # A hand moves a body in any way, and so does a kick: they are told alone where no force does
+    # nearly as well.
+    is_anyhow = best.code in ("untrimmed", *KICKED)
+    tie = criteria.class_nats if is_anyhow else criteria.tie_nats
     tied = [
         row for row in rivals
         if row.kind != best.kind and best.log_posterior - row.log_posterior < tie
