@@ -94,7 +94,8 @@ def decide(table, criteria=None):
     tie = criteria.class_nats if is_anyhow else criteria.tie_nats
     tied = [
         row for row in rivals
-        if row.kind != best.kind and best.log_posterior - row.log_posterior < tie
+        if (row.kind != best.kind or is_anyhow and row.code not in KICKED)
+        and best.log_posterior - row.log_posterior < tie
     ]  # fmt: skip
     is_fact = not any(_is_near(row, best, criteria) for row in rivals)
     if (weight := _weight_before(best, table)) is not None:

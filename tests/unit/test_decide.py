@@ -57,7 +57,7 @@ def test_a_hand_alone_is_told_only_where_no_force_does_nearly_as_well():
     hand = row(1, "untrimmed", "measurement", gain=105.0)
     assert decided(hand, row(2, gain=100.0)).reason == "kinds_tie"
     assert decided(hand, row(2, gain=60.0)).reason == "adopted"
-    kick = row(1, "contact", "measurement", gain=105.0)
+    kick = row(1, "contact", gain=105.0)
     assert decided(kick, row(2, gain=100.0)).reason == "kinds_tie"
     tilt = row(1, "tilt", "measurement", gain=105.0)
     assert decided(tilt, row(2, gain=100.0)).reason == "adopted"
