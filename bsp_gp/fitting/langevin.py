@@ -359,9 +359,7 @@ class _Problem:
             at = dict(zip(names, np.exp(x), strict=True))
             share = (at.get("noise") or self.noise) ** 2 / at["kicks"]
             settling = float((share / 2) ** 0.5 if is_overdamped else share**0.25)
-        return Langevin(
-            terms, is_overdamped, out, float(log_likelihood), settling=settling
-        )
+        return Langevin(terms, is_overdamped, out, float(log_likelihood), settling=settling)
 
     def _tell_offsets(self, out, terms, offsets, at, is_overdamped):
         """Add the centre of a trap (of the first track) or the push."""

@@ -59,6 +59,8 @@ def describe(formula, value=None, other="the other body", exponents=()):
 
 FARTHEST = 4.0
 """Powers from the one in the law up to which an estimate to first order reaches."""
+
+
 def _loose(e):
     value, low, high = (format_number(e[key], 2) for key in ("value", "low", "high"))
     word = size_name(e["of"])
