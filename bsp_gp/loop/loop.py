@@ -85,6 +85,8 @@ MOST_FIRSTS, MOST_SECONDS = 3, 2
 """Laws beside which a second is asked for, where each leaves much, and seconds that are fitted."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
+WEIGHTY = 0.8
+"""Part of chi-squared, as forces see it, that a steady push takes away to be fitted always."""
 UNIFORM = frozenset(("e_x", "e_y", "e_z", "up", "down", "m_i"))
 """What a uniform push is made of."""
 
@@ -496,6 +498,7 @@ class _Turn:
             key=lambda pair: -pair[1].promise,
         )
         controls = [(f.name, p) for f in self.families for p in f.controls]
+        controls += self._weights(every)
         apart = {f.name for f in self.families if f.is_control}  # of no promise like others
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
         clear += [f.name for f in self.families if f.is_led and clear]
@@ -573,6 +576,17 @@ class _Turn:
             if max(nats for nats, _ in known.values()) > least[source] + FAR_BEHIND
         }  # fmt: skip
         self._tell_near(every, above, highest, off)
+
+    def _weights(self, every):
+        """The likeliest steady push of (source, proposal), where that takes most of all away.
+
+        It comes before laws that explain more, see `decide`, however much more they promise.
+        """
+        plain = (pair for pair in every if pair[1].formulas
+                 and all(set(f.inputs) <= UNIFORM for f in pair[1].formulas))  # fmt: skip
+        best = next(plain, None)
+        is_most = best is not None and best[1].gain > WEIGHTY * self.missing
+        return [best] if is_most else []
 
     def fit_held(self, queue):
         """Fit rods and rails, beside a drag what slows down too much; whether one leaves little.

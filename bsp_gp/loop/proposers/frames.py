@@ -10,10 +10,16 @@ from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposers.libraries import extent_of
 from bsp_gp.loop.view import gains
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, fresh_names
 from bsp_gp.search.columns import orthonormal
+
+
+FARTHEST = 30.0
+"""Extents of the tracks beyond them, within which a frame turns about a point: about one that is
+farther away it is a steady push, which everything on Earth has."""
 
 
 class Frames:
@@ -96,8 +102,13 @@ def _proposal(view, spin, gain, has_centre):
     formula = parse_formula(expanded(text, len(axes)), dataset_types(view.dataset))
     values = dict.fromkeys(formula.constants, 0.0)
     values |= dict(zip(of_spin, spin.tolist(), strict=True))
+    places = {}
+    for axis, place in enumerate(of_place if has_centre else ()):
+        low, high = extent_of(view, axis)
+        reach = FARTHEST * max(high - low, np.finfo(float).tiny)
+        places[place] = (low - reach, high + reach)
     return Proposal(
         "frame", to_text(formula), view.hypothesis + Forces(ForceLaw((Term(formula),), values)),
         -2 * view.criteria.cause_nats - view.odd_nats, gain, len(values), starts=values,
-        formulas=(formula,), n_dims=len(axes),
+        bounds=places, formulas=(formula,), n_dims=len(axes),
     )  # fmt: skip
