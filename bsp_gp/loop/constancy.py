@@ -11,7 +11,14 @@ import numpy as np
 
 from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.tangent import as_pair
-from bsp_gp.language.formula import Call, Formula, Number, factors
+from bsp_gp.language.formula import (
+    Call,
+    Constant,
+    Formula,
+    Number,
+    factors,
+    rename_constants,
+)
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
@@ -164,6 +171,44 @@ def _is_of_centre(part):
     base = base_of(part)
     is_norm = isinstance(base, Call) and base.operator == "norm"
     return is_norm and "p_i" in base.inputs and len(part.constants) == len(base.constants)
+
+
+def powers_beside(base, term, own, rivals):
+    """Powers of a quantity in forms that differ in nothing else from a sum, as floats.
+
+    Parameters
+    ----------
+    term : Formula
+        Of the sum `own`, tuple of Formula, whose power is meant.
+    rivals : iterable of tuple of Formula
+        Other sums. Masses and names of constants make no difference.
+    """
+    others = sorted(_shape(f, None) for f in own if f != term)
+    for formulas in rivals:
+        for k, formula in enumerate(formulas):
+            beside = sorted(_shape(f, None) for f in (*formulas[:k], *formulas[k + 1 :]))
+            if beside == others and _shape(formula, base) == _shape(term, base):
+                yield power_of(base, formula)
+
+
+def _shape(formula, base):
+    """Factors of a term as texts, without its mass, and without powers of a quantity, if any.
+
+    A vector is its size times a direction.
+    """
+    vector = base.args[0] if isinstance(base, Call) and base.operator == "norm" else None
+    out = []
+    for side in factors(formula):
+        parts = []
+        for part in side:
+            found = base_of(part)
+            if found == vector:
+                found = part = Call("normalize", found)
+            is_plain = isinstance(part, Constant) or found.inputs == frozenset({"m_i"})
+            if not is_plain and (base is None or found != base):
+                parts.append(to_text(rename_constants(part, dict.fromkeys(part.constants, "c"))))
+        out.append(tuple(sorted(parts)))
+    return tuple(out)
 
 
 def logarithms(view, term, base):

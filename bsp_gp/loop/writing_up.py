@@ -19,7 +19,7 @@ from bsp_gp.fitting.periodogram import is_of_swing, longest, rates_in
 from bsp_gp.language.formula import Call, Input, Number, factors, walk
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
-from bsp_gp.loop.constancy import Z_90, Constancy
+from bsp_gp.loop.constancy import Z_90, Constancy, powers_beside
 from bsp_gp.loop.criteria import FORESEEING, KICKED
 from bsp_gp.loop.decide import share_of_listed
 from bsp_gp.loop.foresight import NO_BETTER, NOTABLE, foresees
@@ -437,6 +437,7 @@ def _effect(done, dataset, bounds, known, criteria):
     surely = (v for v in known.varies if v.p_value <= criteria.alpha)
     varies = list(takewhile(lambda v: v.share > criteria.constant_within, surely))
     is_apart = all(e.is_as_stated(criteria) for e in known.exponents)
+    sums = [done.proposals[row.id].formulas for row in done.decision.rivals]
     return Effect(
         name=best.text,
         code=best.code,
@@ -454,7 +455,7 @@ def _effect(done, dataset, bounds, known, criteria):
         probability=best.probability,
         equivalents=tuple(dict.fromkeys((*best.ties, *others))),
         is_fact=done.decision.is_fact and is_apart and not varies,
-        exponents=tuple(_exponent(e, criteria) for e in known.exponents),
+        exponents=tuple(_exponent(e, criteria, added, sums) for e in known.exponents),
         varies_with=tuple(
             {"term": to_text(v.term), "variable": v.variable, "p_value": v.p_value}
             for v in varies
@@ -476,10 +477,16 @@ def _restated(effect, done, restated, dataset, bounds):
     )
 
 
-def _exponent(one, criteria):
+def _exponent(one, criteria, own, rivals):
+    """A power as it is told: to first order, but with those of rival sums of forces within it.
+
+    Forms that the data do not tell apart are among what they allow, and what turns back has no
+    logarithm of its speed there.
+    """
+    known = {one.low, one.high, *powers_beside(one.of, one.term, own, rivals)}
     return {
         "term": to_text(one.term), "of": to_text(one.of), "stated": one.stated,
-        "value": one.value, "low": one.low, "high": one.high,
+        "value": one.value, "low": min(known), "high": max(known),
         "is_told": one.is_as_stated(criteria),
     }  # fmt: skip
 

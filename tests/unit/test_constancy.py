@@ -9,15 +9,18 @@ from scipy.integrate import solve_ivp
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
+from bsp_gp.language.inputs import input_types
+from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.close import close_loop
-from bsp_gp.loop.constancy import constancy
+from bsp_gp.loop.constancy import constancy, powers_beside
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.proposal import continued, with_term
 from bsp_gp.loop.proposers.exponents import power_of
 from bsp_gp.loop.view import View
 from bsp_gp.loop.writing_up import judged_together
 from bsp_gp.physics.force import Term
+from bsp_gp.units import Unit
 from tests.fitted_tracks import law_of
 from tests.loop_views import GRAVITY
 from tests.throws import SI
@@ -137,3 +140,19 @@ def test_what_stands_beside_a_description_is_none_the_surer():
     _, beside = judged_together([first, adopted])
     assert beside.verdict == "effective law" and beside.reason == "beside_description"
     assert not beside.effect.is_fact
+
+
+def test_powers_of_forms_that_differ_in_nothing_else():
+    types = input_types({"mass": Unit.of(kg=1)})
+
+    def sum_of(*texts):
+        return tuple(parse_formula(text, types) for text in texts)
+
+    speed = parse_formula("norm(v_i)", types)
+    own = sum_of("c1 * e_x", "c2 * (m_i * normalize(v_i))")
+    rivals = [
+        sum_of("c1 * (m_i * e_x)", "c2 * v_i"),
+        sum_of("c2 * (norm(v_i)^3 * normalize(v_i))", "c1 * e_x"),
+        sum_of("c1 * e_y", "c2 * v_i"), sum_of("c2 * v_i"), sum_of("c1 * e_x", "c2 * (dot(p_i - origin, e_x) * e_x)"),
+    ]  # fmt: skip
+    assert list(powers_beside(speed, own[1], own, rivals)) == [1.0, 3.0]

@@ -16,7 +16,6 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, fresh_names
 from bsp_gp.search.columns import orthonormal
 
-
 FARTHEST = 30.0
 """Extents of the tracks beyond them, within which a frame turns about a point: about one that is
 farther away it is a steady push, which everything on Earth has."""
