@@ -153,6 +153,7 @@ def test_powers_of_forms_that_differ_in_nothing_else():
     rivals = [
         sum_of("c1 * (m_i * e_x)", "c2 * v_i"),
         sum_of("c2 * (norm(v_i)^3 * normalize(v_i))", "c1 * e_x"),
-        sum_of("c1 * e_y", "c2 * v_i"), sum_of("c2 * v_i"), sum_of("c1 * e_x", "c2 * (dot(p_i - origin, e_x) * e_x)"),
+        sum_of("c1 * e_y", "c2 * v_i"), sum_of("c2 * v_i"),
+        sum_of("c1 * e_x", "c2 * (dot(p_i - origin, e_x) * e_x)"),
     ]  # fmt: skip
     assert list(powers_beside(speed, own[1], own, rivals)) == [1.0, 3.0]
