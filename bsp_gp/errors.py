@@ -16,7 +16,7 @@ _OPTION = re.compile(
 _PAIR = re.compile(r"""([\w.]+|"[^"]*")=("[^"]*"|'[^']*'|[^\s;,)"']+)""")
 _ARGUMENTS = {"start": "starts", "set": "constants", "overwrite": "overwrite=True",
               "out": "folder", "law": "law", "property": "properties"}  # fmt: skip
-_WITH_WORD = ("up", "kind", "latent", "max-levels")
+_WITH_WORD = ("up", "kind", "latent", "max-levels", "fps", "dt")
 
 
 @contextlib.contextmanager

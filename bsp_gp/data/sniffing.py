@@ -31,6 +31,8 @@ MOST_ABOVE = 12
 LEAST_STEPS, RISES, ROUNDED = 4, 0.95, 2.01
 """Steps of a column that may be a clock, the part of them that goes up, and last digits by which
 those of an even one differ."""
+ANY_RISE = 0.65
+"""Part of the steps of no column that goes up, where none is a clock: half do of what wanders."""
 MOST_POWER = 300
 """Of ten that a number can have."""
 MOST_SHOWN = 6
@@ -215,7 +217,7 @@ def clock_among(columns):
     rising, even = [], []
     for k, cells in enumerate(columns):
         steps = _steps(cells)
-        if len(steps) < LEAST_STEPS or not _mostly_rises(cells):
+        if len(steps) < LEAST_STEPS or not _rises(cells, RISES):
             continue
         rising.append(k)
         is_count = all(step == 1 for step in steps)
@@ -226,9 +228,10 @@ def clock_among(columns):
     return found[0] if len(found) == 1 else None
 
 
-def _mostly_rises(cells):
+def _rises(cells, part):
+    """Whether so large a part of the steps of a column goes up."""
     steps = _steps(cells)
-    return sum(step > 0 for step in steps) >= RISES * len(steps)
+    return sum(step > 0 for step in steps) >= part * len(steps)
 
 
 def _last_digit(cells):
@@ -271,7 +274,7 @@ def _remedy_of_numbers(cells, lines, delimiter):
         pushes = " ".join(f"a{axis}={k + 1}" for axis, k in zip("xyz", moving, strict=False))
         by_number = (f"--columns t={clock + 1} x={x + 1} (column {clock + 1} increases from row to "
                      f"row; y=, z= of further axes; t={clock + 1} {pushes} of accelerations)")
-    elif columns and not any(map(_mostly_rises, columns)):
+    elif columns and not any(_rises(own, ANY_RISE) for own in columns):
         by_number = "--columns x=1 y=2 --fps 25 (no column increases from row to row: if every row "
         by_number += "is a frame, that says how many are in a second)"
     else:

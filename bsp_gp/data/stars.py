@@ -95,7 +95,8 @@ def _own_names(table, declaration):
 
 def with_named_dates(table, declaration):
     """The table with a unit of its times where they are called dates, and leave no doubt."""
-    is_told = "t" in table.frame and is_date(table.theirs.get("t", "t"))
+    theirs = table.theirs.get("t", "t")
+    is_told = "t" in table.frame and is_date(theirs) and not is_besselian(theirs)
     return with_date_unit(table, declaration) if is_told else table
 
 

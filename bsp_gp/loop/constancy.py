@@ -183,18 +183,18 @@ def powers_beside(base, term, own, rivals):
     rivals : iterable of tuple of Formula
         Other sums. Masses and names of constants make no difference.
     """
-    others = sorted(_shape(f, None) for f in own if f != term)
+    others = sorted(shape_of(f) for f in own if f != term)
     for formulas in rivals:
         for k, formula in enumerate(formulas):
-            beside = sorted(_shape(f, None) for f in (*formulas[:k], *formulas[k + 1 :]))
-            if beside == others and _shape(formula, base) == _shape(term, base):
+            beside = sorted(shape_of(f) for f in (*formulas[:k], *formulas[k + 1 :]))
+            if beside == others and shape_of(formula, base) == shape_of(term, base):
                 yield power_of(base, formula)
 
 
-def _shape(formula, base):
+def shape_of(formula, base=None):
     """Factors of a term as texts, without its mass, and without powers of a quantity, if any.
 
-    A vector is its size times a direction.
+    A vector is its size times a direction; names of constants make no difference.
     """
     vector = base.args[0] if isinstance(base, Call) and base.operator == "norm" else None
     out = []

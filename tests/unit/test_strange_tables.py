@@ -38,7 +38,7 @@ def test_a_header_of_some_columns_is_not_put_over_the_first_ones(tmp_path):
 
 def test_one_column_is_asked_how_many_rows_a_second_has(tmp_path):
     path = table(tmp_path, "".join(f"{9 - 0.5 * k}\n" for k in range(8)))
-    with pytest.raises(DataError, match=r"fps 25"):
+    with pytest.raises(DataError, match=r"fps=25"):
         bsp_gp.load_dataset(path)
     data = bsp_gp.load_dataset(path, columns={"vx": "1"}, fps=2, units={"length": "m", "time": "s"})
     assert data.velocity == "only"

@@ -101,11 +101,13 @@ def _proposal(view, spin, gain, has_centre):
     formula = parse_formula(expanded(text, len(axes)), dataset_types(view.dataset))
     values = dict.fromkeys(formula.constants, 0.0)
     values |= dict(zip(of_spin, spin.tolist(), strict=True))
-    places = {}
-    for axis, place in enumerate(of_place if has_centre else ()):
-        low, high = extent_of(view, axis)
-        reach = FARTHEST * max(high - low, np.finfo(float).tiny)
-        places[place] = (low - reach, high + reach)
+    ends = [extent_of(view, axis) for axis in range(len(axes))] if has_centre else []
+    reach = FARTHEST * max((high - low for low, high in ends), default=0.0)
+    places = {
+        name: (low - reach, high + reach)
+        for name, (low, high) in zip(of_place, ends, strict=False)
+    }  # fmt: skip
+    values |= {name: min(max(0.0, low), high) for name, (low, high) in places.items()}
     return Proposal(
         "frame", to_text(formula), view.hypothesis + Forces(ForceLaw((Term(formula),), values)),
         -2 * view.criteria.cause_nats - view.odd_nats, gain, len(values), starts=values,
