@@ -20,11 +20,13 @@ from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.constancy import shape_of
+from bsp_gp.loop.proposers.exponents import power_of
 from bsp_gp.units import Unit
 
 G = 9.81
 SI, ANGLE = {"length": "m", "time": "s"}, {"x": "rad", "t": "s"}
 TYPES = input_types({"mass": Unit.of(kg=1)})
+SPEED = parse_formula("norm(v_i)", TYPES)
 LINEAR, SQUARED, RUB = "v_i", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)"
 
 
@@ -128,7 +130,7 @@ KINDS = (fall, coffee_filter, throw, throw_with_drag, incline, coasting, spring,
 
 def shapes_of(formulas, kind):
     """Forms of forces, but for their constants."""
-    told = sorted(map(shape_of, formulas))
+    told = [(power_of(SPEED, f), *shape_of(f, SPEED)) for f in formulas]
     return [str(each).replace(RUB, "e_x") for each in told] if kind in ONE_WAY else told
 
 

@@ -177,8 +177,11 @@ def _is_rival(row, best, criteria):
 
 
 def _is_near(row, best, criteria):
-    """Whether a rival keeps the best from being a fact; a wider form does where it is better."""
-    if row.is_wide:
+    """Whether a rival keeps the best from being a fact; one that is wider does where it is better.
+
+    A wide form of no more numbers is as good a form as any.
+    """
+    if row.is_wide and row.n_free > best.n_free:
         return _apart(best, row) < -2 * criteria.tie_nats
     return abs(_apart(best, row)) < criteria.separation
 
