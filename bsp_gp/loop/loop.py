@@ -498,7 +498,6 @@ class _Turn:
             key=lambda pair: -pair[1].promise,
         )
         controls = [(f.name, p) for f in self.families for p in f.controls]
-        controls += self._weights(every)
         apart = {f.name for f in self.families if f.is_control}  # of no promise like others
         clear = [name for name, p in self.chances.items() if p <= self.run.criteria.alpha]
         clear += [f.name for f in self.families if f.is_led and clear]
@@ -569,6 +568,7 @@ class _Turn:
                 least[source] = min(least.get(source, math.inf), own[0])
                 highest[source] = max(highest.get(source, -math.inf), proposal.promise)
         fits.end()
+        self._fit_weight(every)
         self._fit_limits()
         self._prune()
         off = {
@@ -577,16 +577,19 @@ class _Turn:
         }  # fmt: skip
         self._tell_near(every, above, highest, off)
 
-    def _weights(self, every):
-        """The likeliest steady push of (source, proposal), where that takes most of all away.
+    def _fit_weight(self, every):
+        """Fit the likeliest steady push where no force is known, and that takes most away.
 
         It comes before laws that explain more, see `decide`, however much more they promise.
         """
-        plain = (pair for pair in every if pair[1].formulas
-                 and all(set(f.inputs) <= UNIFORM for f in pair[1].formulas))  # fmt: skip
-        best = next(plain, None)
-        is_most = best is not None and best[1].gain > WEIGHTY * self.missing
-        return [best] if is_most else []
+        plain = ((source, p) for source, p in every if p.formulas
+                 and all(set(f.inputs) <= UNIFORM for f in p.formulas))  # fmt: skip
+        source, best = next(plain, ("", None))
+        is_most = best is not None and best.gain > WEIGHTY * self.missing
+        is_new = is_most and best.key not in {row.key for row in self.rows if row.is_fit}
+        if is_new and not self.base.law.terms and not self.note_time("fits"):
+            self.run.says(f"fit of a weight: {best.text}")
+            self._followed(source, best, _fit_of(self._shared, (source, best)))
 
     def fit_held(self, queue):
         """Fit rods and rails, beside a drag what slows down too much; whether one leaves little.
