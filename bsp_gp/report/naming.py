@@ -34,7 +34,8 @@ def describe(formula, value=None, other="the other body", exponents=()):
     "drag, speed to the 1.5 (1.2 to 1.8)".
     """
     direction, conditions, powers = _parts(formula)
-    rubs = direction is not None and to_text(direction) == "normalize(v_i)"
+    is_along = direction is not None and to_text(direction) == "normalize(v_i)"
+    rubs = is_along and set(powers) <= {"m_i"}  # and on nothing else it depends
     loose = [e for e in exponents if not e.get("is_told", True)
              and (e["stated"] or rubs and e["of"] == "norm(v_i)")]  # fmt: skip
     powers = {n: power for n, power in powers.items() if n not in {e["of"] for e in loose}}
