@@ -328,11 +328,13 @@ def not_foreseen(records, ratio):
     """
     if not ratio.value > NOTABLE:
         return records
+    blind = ("kicks", "noise", "measurement")  # nobody foresees what these do
     return [
         replace(r, verdict="effective law", reason="poorly_foreseen")
-        if r.verdict == "effect adopted" and r.effect.equivalents and not r.effect.is_fact else r
+        if r.verdict == "effect adopted" and r.effect.kind not in blind
+        and r.effect.equivalents and not r.effect.is_fact else r
         for r in records
-    ]
+    ]  # fmt: skip
 
 
 def judged_together(records):
