@@ -16,7 +16,8 @@ _OPTION = re.compile(
 _PAIR = re.compile(r"""([\w.]+|"[^"]*")=("[^"]*"|'[^']*'|[^\s;,)"']+)""")
 _ARGUMENTS = {"start": "starts", "set": "constants", "overwrite": "overwrite=True",
               "out": "folder", "law": "law", "property": "properties"}  # fmt: skip
-_WITH_WORD = ("up", "kind", "latent", "max-levels", "fps", "dt")
+_WITH_WORD = ("up", "kind", "latent", "max-levels")
+_WITH_NUMBER = ("fps", "dt")
 
 
 @contextlib.contextmanager
@@ -48,8 +49,10 @@ def _argument(match):
         pairs = [(key.strip('"'), value.strip("\"'")) for key, value in pairs]
         told = ", ".join(f'"{key}": "{value}"' for key, value in pairs)
         return f"{name}={{{told}}}"
-    word = rest.strip() if rest.strip().isdecimal() else f'"{rest.strip()}"'
-    return f"{name}={word}" if rest and match[1] in _WITH_WORD else name + rest
+    is_number = rest.strip().isdecimal()
+    word = rest.strip() if is_number else f'"{rest.strip()}"'
+    is_value = match[1] in _WITH_WORD or is_number and match[1] in _WITH_NUMBER
+    return f"{name}={word}" if rest and is_value else name + rest
 
 
 class BspError(Exception):

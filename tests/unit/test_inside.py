@@ -254,9 +254,9 @@ def test_inner_constants_stay_in_the_ranges_that_the_data_give_them():
 
 
 def test_a_wider_form_keeps_its_special_case_from_being_a_fact_only_where_it_is_better():
-    wide = decided(row(1), row(2, gain=102.0, prior=-6.0, is_wide=True))
+    wide = decided(row(1), row(2, gain=102.0, prior=-6.0, is_wide=True, n_free=6))
     assert [r.id for r in wide.rivals] == [2] and wide.is_fact
-    better = decided(row(1, prior=0.0), row(2, gain=106.0, prior=-6.0, is_wide=True))
+    better = decided(row(1, prior=0.0), row(2, gain=106.0, prior=-6.0, is_wide=True, n_free=6))
     assert better.best.id == 1 and not better.is_fact
 
 
