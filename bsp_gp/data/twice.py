@@ -109,7 +109,8 @@ def _are_held(times, places):
     nothing, places = np.zeros(len(places), dtype=bool), places[:, np.isfinite(places).any(axis=0)]
     steps = np.abs(np.diff(places, axis=0))
     moving = np.flatnonzero(steps.any(axis=1))  # the last row of each reading, but of the last one
-    if len(moving) < LEAST_LEAPS or not np.isfinite(places).all():
+    # The grid of a long track takes a while, and hardly any track holds readings.
+    if np.count_nonzero(np.diff(moving) > 1) < LEAST_LEAPS or not np.isfinite(places).all():
         return nothing
     grid = np.array([grid_step([(times, own)]) for own in places.T])
     is_leap = ((steps[moving] > 0) & (steps[moving] >= LEAP * grid)).any(axis=1)
