@@ -32,6 +32,9 @@ BOTH = (-2, -1, 1, 2), 3
 BEFORE = tuple(range(-REACH, 0)), 2
 AFTER = tuple(range(1, REACH + 1)), 2
 """Neighbours of a point, and the degree of the polynomial through them that predicts it."""
+KEPT = 50_000
+"""Points of a track whose weights are kept: it is looked at again under every estimate of its
+noise."""
 EVEN = 0.01
 """Of the noise, up to which it does not matter where a body is between two times."""
 ENDS = {
@@ -186,8 +189,10 @@ def _deviations(times, x, sigma, usual=None):
             weights = _evenly(offsets, degree)
         elif n <= MANY:
             weights = _unevenly(times.tobytes(), offsets, degree)
+        elif n <= KEPT:
+            weights = _unevenly_of_many(times.tobytes(), offsets, degree)
         else:
-            weights = _predicting(times[nodes], times[rows], degree)
+            weights = _along(times, offsets, degree)
         gap = np.abs(x[..., rows, :] - (weights[..., None] * x[..., nodes, :]).sum(axis=-2)) / sigma
         z = gap / np.sqrt(1 + np.square(weights).sum(axis=1))[:, None]
         if (offsets, degree) not in usual:
@@ -232,7 +237,16 @@ def _evenly(offsets, degree):
 @lru_cache(maxsize=128)
 def _unevenly(times, offsets, degree):
     """The same at times (T,) given as bytes, (n, k): copies of a track have those of the track."""
-    times = np.frombuffer(times)
+    return _along(np.frombuffer(times), offsets, degree)
+
+
+@lru_cache(maxsize=32)
+def _unevenly_of_many(times, offsets, degree):
+    """The same of so many times that few tracks are remembered."""
+    return _along(np.frombuffer(times), offsets, degree)
+
+
+def _along(times, offsets, degree):
     rows = np.arange(max(-offsets[0], 0), len(times) - max(offsets[-1], 0))
     return _predicting(times[rows[:, None] + np.array(offsets)], times[rows], degree)
 

@@ -62,9 +62,10 @@ FINISHING = 60
 GROWN_EFFORT, LEAST_GROWN = 1.0, 1000.0
 """Effort for which dense tracks are grown, in that of the ways before; and at the least, where
 nobody set it."""
-JOININGS = 6
+JOININGS, MOST_RISEN = 6, 2
 RISING = 10.0
-"""Times that chi-squared may rise as nodes are joined."""
+"""Times that nodes are joined and, of these, that a descent may stall higher than the one before;
+how much higher at once."""
 HOPELESS = 30.0
 """Times that of the fit which is extended, from which a chi-squared leads nowhere."""
 GROWN = 4
@@ -512,7 +513,7 @@ class Climb:
         if is_whole:
             settings = replace(WHOLE, hopeless=self.hopeless)
         point = problem.upon(np.clip(start.values, low, high), start.nodes)
-        count, before = 0, np.inf
+        count, n_risen, before = 0, 0, np.inf
         for _ in range(JOININGS):
             found = minimise(
                 problem, point, low=low, high=high, settings=settings, is_over=self.run.is_over
@@ -523,7 +524,8 @@ class Climb:
                 settings, point = replace(settings, max_linearised=VALLEY), found.point
                 continue
             is_lost = found.linearised is None or found.code in ("stopped", "limit")
-            is_lost = is_lost or found.kept_chisqr > RISING * before
+            n_risen += found.code == "stalled" and found.kept_chisqr > before
+            is_lost = is_lost or n_risen == MOST_RISEN or found.kept_chisqr > RISING * before
             before = found.kept_chisqr
             if not is_whole or is_lost:
                 break

@@ -34,6 +34,10 @@ _REINED, _LEAST_REIN = 0.1, 0.05
 held."""
 _OWN = 0.5
 """Part of what a step is to change of a block that its own step must make to be to blame."""
+_CREEPING, _CREPT = 1e-3, 5
+"""Part of the fall of a whole step below which steps creep, and how many of these in a row end a
+descent: where a node passes an instant at which forces change at once, what intervals tell of each
+other jumps as long as they do not join, and no step is short enough."""
 _TRIED = 12
 """Linearisations after which a descent that is hopelessly far up is given up."""
 _FEWEST_BLOCKS, _MOST_HELD = 3, 0.5
@@ -127,12 +131,17 @@ class _Descent:
             return Minimum(start, values, None, "nonfinite", "start", np.inf, np.inf, nothing,
                            self.n_linearised)  # fmt: skip
         scale, radius, least, code = np.zeros(len(here.values)), np.inf, np.inf, ""
+        n_crept = 0
         while not code:
             scale = np.maximum(scale, here.lengths)
             whole = self.solve(here, here.lengths, np.inf)
             least = min(least, whole.n_unseen)
             if whole.fall > self.negligible(here):
-                here, radius, code = self.descend(here, scale, radius)
+                before, (here, radius, code) = here, self.descend(here, scale, radius)
+                creeps = before.chisqr - here.chisqr < _CREEPING * whole.fall
+                n_crept = n_crept + 1 if creeps and len(here.linearised.rests) else 0
+                if n_crept >= _CREPT:
+                    code = code or "stalled"
                 if self.n_linearised >= _TRIED and here.chisqr > self.settings.hopeless:
                     code = code or "limit"
                 continue

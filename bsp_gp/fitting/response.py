@@ -44,8 +44,9 @@ HIT_ERROR = 1e-6
 """Error of an interval, in the largest coordinate, when bounces are counted."""
 MOST_LOOKED_AT = 20_000
 """Intervals by which that is told, spread evenly."""
-LOST, LEAST_SHOWN = 0.1, 100.0
-"""Chi-squared that moments may lose which are left out, where forces show so much at least."""
+LOST, LEAST_SHOWN, MOST_SHOWN = 0.1, 100.0, 1e6
+"""Chi-squared that moments may lose which are left out, where forces show so much at least; what
+shows more may lose as great a part of it."""
 MUCH_LOWER, SURELY = 0.7, 10.0
 """Level of the pure error that counts, in that of a fit, and nats by which it must be likelier."""
 RESOLVED = 1e-6
@@ -674,11 +675,13 @@ class _Group:
         Of a force white in time, that shows as much as is left; where what is left tells how smooth
         the force is, of that one, and of a white one that shows little.
         """
-        shown = max(float(np.square(left).sum()) - left.size, LEAST_SHOWN)
-        shown = shown if expected is None else LEAST_SHOWN
+        shown = float(np.square(left).sum()) - left.size
+        # Beside what a law leaves that is far off, a little more or less of it tells no cause.
+        lost = self.lost * max(shown / MOST_SHOWN, 1.0)
+        shown = max(shown, LEAST_SHOWN) if expected is None else LEAST_SHOWN
         tail = np.cumsum(values, axis=1)  # eigenvalues rise
-        keep = tail * shown > self.lost * tail[:, -1:].max()
-        return keep if expected is None else keep | (np.cumsum(expected, axis=1) > self.lost)
+        keep = tail * shown > lost * tail[:, -1:].max()
+        return keep if expected is None else keep | (np.cumsum(expected, axis=1) > lost)
 
     def _smoothed(self, changes, white, by_force, left, near):
         """Move the nodes to tracks smoothed by a free force; whether they moved at all."""

@@ -62,7 +62,7 @@ class Constraint(Numbered):
         return self.text
 
 
-def read_constraint(dataset, text, pairs=None):
+def read_constraint(dataset, text, pairs=None, numbers=None):
     """Read a typed constraint, ``norm(p_i - (0, 1.2)) = L``.
 
     Parameters
@@ -73,6 +73,8 @@ def read_constraint(dataset, text, pairs=None):
         ``p_NAME`` is the place of a body by name, with ``_`` for what is no letter or digit in it.
     pairs : sequence of (str, str), optional
         The bodies i and j ("" = none) that it is on, where the text does not say it.
+    numbers : mapping of str to float, optional
+        Where its names begin, if that is known, SI; else where the rows keep to it best.
 
     Raises
     ------
@@ -94,7 +96,9 @@ def read_constraint(dataset, text, pairs=None):
             f"constraint {text!r} passes forces between moving bodies, whose masses must be known; "
             "give them a column mass in entities.csv"
         )
-    numbers = _numbers(dataset, formula, pairs, axes)
+    if numbers is None:
+        numbers = _kept_best(dataset, formula, pairs, axes)
+    numbers = _parameters(dataset, formula, axes, numbers)
     return Constraint(text.strip(), formula, pairs, numbers, bool(coupling))
 
 
@@ -197,8 +201,8 @@ def read_string(dataset, text):
     taut = Call("add", Number(1.0), Call("sign", formula))
     stiffness = Number(-(rate**2) / 2, Unit.of(s=-2), f"{-(rate**2) / 2:.6g} [1/s^2]")
     size = Call("mul", Call("mul", stiffness, mass), Call("mul", taut, pull))
-    numbers = _numbers(dataset, formula, pairs, axes, is_least=True)
-    return Term(Call("mul", size, along), is_declared=True), {n.name: n.start for n in numbers}
+    numbers = _kept_best(dataset, formula, pairs, axes, is_least=True)
+    return Term(Call("mul", size, along), is_declared=True), numbers
 
 
 def _read(dataset, text, sides, pairs):
@@ -350,8 +354,8 @@ def extent_of(dataset):
     return (low + high) / 2, float(np.max(high - low)) or 1.0
 
 
-def _numbers(dataset, formula, pairs, axes, is_least=False):
-    """Constants, begun where the rows keep to it best; those of `axes` are coordinates.
+def _kept_best(dataset, formula, pairs, axes, is_least=False):
+    """Constants by which the rows keep to it best, name -> value; those of `axes` are coordinates.
 
     With `is_least` rows may as well be below zero.
     """
@@ -359,7 +363,7 @@ def _numbers(dataset, formula, pairs, axes, is_least=False):
 
     names = formula.constants
     if not names:
-        return ()
+        return {}
     rows = [_inputs(dataset, formula, scene, pair) for scene in dataset.scenes for pair in pairs]
     rows = [row for row in rows if row is not None]
     middle, size = extent_of(dataset)
@@ -380,13 +384,19 @@ def _numbers(dataset, formula, pairs, axes, is_least=False):
         found = least_squares(left, start, x_scale=size)
         if best is None or found.cost < best.cost * (1 - 1e-9):
             best = found
+    return dict(zip(names, best.x.tolist(), strict=True))
+
+
+def _parameters(dataset, formula, axes, values):
+    """Constants of a constraint that begin at values, and are as large as what is seen."""
+    middle, size = extent_of(dataset)
     units = added_units(formula)
     return tuple(
         Parameter(
-            name, "", LENGTH if name in axes else units.get(name), start=float(value),
+            name, "", LENGTH if name in axes else units.get(name), start=float(values[name]),
             prior=(float(middle[axes[name]]) if name in axes else size, size),
         )
-        for name, value in zip(names, best.x, strict=True)
+        for name in formula.constants
     )  # fmt: skip
 
 

@@ -17,12 +17,12 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import TimeIsUp
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
-from bsp_gp.loop.proposers.priors import drives
+from bsp_gp.loop.proposers.priors import drives, is_passed_once
 from bsp_gp.loop.view import MOST_PAIRS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, kind_of, split_linear
 from bsp_gp.search.columns import orthonormal
-from bsp_gp.search.inner import ZOOMS, Form, InnerSearch, Scan, read_forms
+from bsp_gp.search.inner import PLACE, ZOOMS, Form, InnerSearch, Scan, read_forms
 from bsp_gp.search.subsets import best_subsets
 from bsp_gp.units import Unit
 
@@ -48,6 +48,8 @@ SEPARATE = 0.02
 """Part of a law that must lie beside a form and changes of it for the two to be told apart."""
 
 
+LINES = (PLACE, "h_", "H_")
+"""How names of coordinates of a place begin."""
 SINES = tuple(f"sin(({axis}_i - h_{axis}) / D) * e_{axis}" for axis in "xy")
 """What drives an angle back: a weight on an arm."""
 
@@ -276,6 +278,9 @@ def _proposal(view, search, scan):
     odd_nats = view.odd_nats if scan.form.term.kind == "field" else 0.0
     if drives(formulas[0], starts[names["c"]]):
         odd_nats += view.criteria.cause_nats
+    axes = {axis.name.rstrip("0123456789")[-1] for axis in scan.axes if axis.name.startswith(LINES)}
+    if is_passed_once(formulas[0], axes, view.dataset):
+        odd_nats += 2 * view.criteria.cause_nats
     return Proposal(
         "law", to_text(formulas[0]), view.hypothesis + RangedForces(law, None, ranges),
         -view.criteria.cause_nats - odd_nats - scan.form.nats, scan.best, 1 + len(ranges),

@@ -1,10 +1,14 @@
 """What is known of laws before any data, beside what each of them costs in a grammar."""
 
-from bsp_gp.language.formula import Call, Input, factors
+import numpy as np
+
+from bsp_gp.language.formula import Call, Input, factors, walk
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
 
 AXES = ("e_x", "e_y", "e_z")
+ON = 0.95
+"""Part of the extent of a track that lies between its ends where a body did not turn."""
 
 
 def cost_of(candidates):
@@ -31,3 +35,29 @@ def drives(formula, strength):
     above, _ = factors(split_linear(formula)[1])
     ways = (f.args[0] if isinstance(f, Call) and f.operator == "normalize" else f for f in above)
     return strength > 0 and any(isinstance(way, Input) and way.name == "v_i" for way in ways)
+
+
+def is_passed_once(formula, axes, dataset):
+    """Whether a law is a force about a place on a line along which all bodies go one way only.
+
+    There whatever depends on speed, such as what slows down a fall through the air, depends on the
+    place as well; and springs are pulled forth and back.
+
+    Parameters
+    ----------
+    formula : Formula
+    axes : set of str
+        Along which it has a place, ``{"x"}``.
+    """
+    words = {getattr(node, "operator", getattr(node, "name", "")) for node in walk(formula)}
+    is_smooth = not words & {"v_i", "v_j", "p_j", "t", "sign"}
+    return is_smooth and len(axes) == 1 and all(
+        _goes_on(track) for scene in dataset.scenes
+        for track in scene.positions[:, scene.dynamic, "xyz".index(*axes)].T
+    )  # fmt: skip
+
+
+def _goes_on(track):
+    """Whether places (T,) lie one behind the other, up to their noise."""
+    seen = track[np.isfinite(track)]
+    return len(seen) > 1 and abs(seen[-1] - seen[0]) > ON * np.ptp(seen)

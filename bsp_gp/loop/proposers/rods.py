@@ -255,10 +255,10 @@ def _proposal(view, kept, every, n_tried):
     if gain < (MISFIT - 1) * n_rows:
         return None
     try:
-        part = read_constraint(view.dataset, kept.text.format(*names), (kept.pair,))
+        numbers = dict(zip(names, kept.values, strict=True))
+        part = read_constraint(view.dataset, kept.text.format(*names), (kept.pair,), numbers)
     except LawError:  # masses that a rod would need are not known
         return None
-    part = part.at(dict(zip(names, kept.values, strict=True)))
     pushes, braked = _pushes(view, kept)
     log_prior = -view.criteria.cause_nats * (1 + len(pushes)) - math.log(n_tried)
     text = kept.text.format(*(f"{value:.4g}" for value in kept.values))
