@@ -1,6 +1,7 @@
 """A fit as proposers look at it: its tangent, its response to forces, noise that was simulated."""
 
 import math
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
@@ -26,7 +27,9 @@ from bsp_gp.units import Unit, parse_unit
 
 MOST_PAIRS = 100_000
 """Pairs of bodies, at all instants, for which every law is evaluated; of more only the best are."""
-
+MOST_WEIGHTS = 400_000
+"""Products that the moments of one force are made of, above which forms that act on bodies by
+themselves, and waves, are scanned on a part of the chains, and the best of them scored on all."""
 MOST_ROWS = 10_000
 """Of which forces that change from row to row are asked for."""
 MOST_LEVELS = 4
@@ -372,6 +375,26 @@ class View:
         amounts = np.linalg.lstsq(columns / size, self.left, rcond=1e-10)[0] / size
         gain = self.left @ self.left - np.square(self.left - columns @ amounts).sum()
         return amounts, size, float(gain)
+
+    def lesser(self, most):
+        """The view by so few chains that the moments of a force take no more products than that.
+
+        Returns
+        -------
+        view : View
+            Itself where all are as few.
+        rows : ndarray of int or slice
+            Where its moments stand among all.
+        """
+        if self.n_weights <= most:
+            return self, slice(None)
+        regression, rows = self.response.regression.part(most / self.n_weights)
+        other, columns = copy(self), self.response.columns[rows]
+        for name in [n for n in vars(self) if isinstance(getattr(View, n, None), cached_property)]:
+            del other.__dict__[name]
+        response = replace(self.response, regression=regression, columns=columns)
+        other._found = self.fit, response
+        return other, rows
 
     def part(self, share):
         """The moments of no more than such a share of all chains.

@@ -18,7 +18,7 @@ from bsp_gp.loop.clock import TimeIsUp
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
 from bsp_gp.loop.proposers.priors import drives, is_passed_once
-from bsp_gp.loop.view import MOST_PAIRS
+from bsp_gp.loop.view import MOST_PAIRS, MOST_WEIGHTS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, kind_of, split_linear
 from bsp_gp.search.columns import orthonormal
@@ -34,9 +34,6 @@ MOST_CLOSER, LEAST_CLOSER = 80, 20
 """Forms that are looked at between the places of their grids, and closer ever fewer of them."""
 SCANNED = 25_000
 """Pairs at all instants on which forms are scanned where they are more than `MOST_PAIRS`."""
-MOST_WEIGHTS = 400_000
-"""Products that the moments of one force are made of, above which forms that act on bodies by
-themselves are scanned on a part of the chains, and the best of them scored on all."""
 MOST_LEADING = 8
 """Of the likeliest pair laws of the grammar, those tried beside forms as textbooks' are: a source
 that is seen beside one that is not."""

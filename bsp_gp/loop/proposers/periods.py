@@ -11,6 +11,7 @@ from bsp_gp.fitting.tangent import INDEPENDENT, as_pair
 from bsp_gp.language.formula import Call, Constant, Input
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.view import MOST_WEIGHTS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.physics.regression import checked
@@ -101,36 +102,51 @@ class Wave:
     columns: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Pushes:
+    """Pushes with a period, as they are scanned beside one set of forces after the other.
+
+    Attributes
+    ----------
+    scan : Scan
+        By some of the chains, where these are many.
+    rows : ndarray of int or slice
+        Where its moments stand among all.
+    alone : dict of int to (list, list of float)
+        By axis moments of the push, and the rates that do best alone.
+    """
+
+    scan: "Scan"
+    rows: object
+    alone: dict
+
+
 def waves_alone(view):
-    """For `wave_beside`: a scan, and by axis moments of pushes and the rates that do best alone."""
+    """For `wave_beside`: pushes along every axis, and the rates that do best alone."""
     rates = rates_of(view)
-    if not len(rates):
-        return None, {}
-    alone = Scan(view, rates, view.left[:, None], MOST_BYTES)
-    (_, weights, _), *_ = variants(view)
-    axes = np.flatnonzero(np.isfinite(view.fit.noise.levels))
-    kernels = {axis: alone.kernels(weights, axis) for axis in axes}
-    return alone, {axis: (k, [r for r, _ in alone.peaks(k)]) for axis, k in kernels.items()}
+    lesser, rows = view.lesser(MOST_WEIGHTS)
+    scan = Scan(lesser, rates, lesser.left[:, None], MOST_BYTES)
+    axes = np.flatnonzero(np.isfinite(view.fit.noise.levels)) if len(rates) else ()
+    kernels = {axis: scan.kernels(_weights(lesser), axis) for axis in axes}
+    alone = {axis: (k, [r for r, _ in scan.peaks(k)]) for axis, k in kernels.items()}
+    return Pushes(scan, rows, alone)
 
 
-def wave_beside(view, columns, alone):
+def wave_beside(view, columns, pushes):
     """The push with a period that explains most beside moments (n, c); None if there is none.
 
     Parameters
     ----------
     columns : ndarray, shape (n, c)
-    alone : tuple
+    pushes : Pushes
         Of `waves_alone`.
     """
-    plain, pushes = alone
-    if not pushes:
+    if not pushes.alone:
         return None
-    basis, rates = orthonormal(columns, len(columns)), plain.rates
-    target = view.left - basis @ (basis.T @ view.left)
-    scan = plain.beside_of(basis, target)
-    (has_mass, *_), *_ = variants(view)
+    rates, lesser = pushes.scan.rates, pushes.scan.view
+    scan = pushes.scan.beside_columns(columns if lesser is view else columns[pushes.rows])
     best = None
-    for axis, (kernel, known) in pushes.items():
+    for axis, (kernel, known) in pushes.alone.items():
         # Beside what imitates it a peak is much narrower than that of the push alone.
         starts = [(rate, -np.inf) for rate in known] + scan.peaks(kernel)
         for rate, gain in starts:
@@ -138,18 +154,28 @@ def wave_beside(view, columns, alone):
             if best is None or most > best[0]:
                 best = most, rate, axis, kernel
     _, rate, axis, kernel = best
+    if lesser is not view:  # its moments are those of all chains
+        scan = Scan(view, rates, view.left[:, None]).beside_columns(columns)
+        kernel = scan.kernels(_weights(view), axis)
     step = (rates[1] - rates[0] if len(rates) > 1 else rate) / CLOSER**ZOOMS
     here, before, after = scan.waves(kernel, np.array([rate, rate - step, rate + step])).swapaxes(
         0, 1
     )
-    amounts = np.linalg.lstsq(scan.beside(here), target, rcond=1e-10)[0]
+    amounts = np.linalg.lstsq(scan.beside(here), scan.targets[:, 0], rcond=1e-10)[0]
     change = (after - before) @ amounts / (2 * step)
+    (has_mass, *_), *_ = variants(view)
     terms, constants = _push(view, (axis,), has_mass)
     return Wave(
         Forces(ForceLaw(terms, constants | {next(reversed(constants)): rate})), tuple(constants),
         rate, (float(rates[0]), float(rates[-1])),
         view.beside(np.column_stack([here, change])),
     )  # fmt: skip
+
+
+def _weights(view):
+    """Of the first variant of a push."""
+    (_, weights, _), *_ = variants(view)
+    return weights
 
 
 class Scan:
@@ -163,10 +189,12 @@ class Scan:
         self.batches = view.response.regression.batches
         self._known, self._most = {}, most_bytes  # waves of rates that are scanned again, by kernel
 
-    def beside_of(self, basis, target):
-        """A scan of the same waves on another target (n,), beside an orthonormal basis (n, k)."""
-        other = copy(self)
-        other.targets, other.basis = target[:, None], basis
+    def beside_columns(self, columns):
+        """A scan of the same waves on what moments (n, c) leave, beside these."""
+        other, columns = copy(self), self.view.beside(columns)
+        other.basis = orthonormal(columns, len(columns))
+        left = self.view.left
+        other.targets = (left - other.basis @ (other.basis.T @ left))[:, None]
         return other
 
     def kernels(self, weights, axis, is_placed=False):
