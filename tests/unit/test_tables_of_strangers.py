@@ -52,6 +52,23 @@ def test_rows_that_lack_cells_of_columns_that_are_not_used_are_read(tmp_path):
         load_dataset(written(tmp_path, cut))
 
 
+def test_rows_that_have_all_that_is_used_may_lack_the_rest(tmp_path):
+    """Several that end so were written so; one alone may have been cut within its last number."""
+    header = "t,x,y,remark"
+    lines = [header, f"{T[0]},{X[0]},0.5,7", *rows(T[1:], X[1:], X[1:])]
+    data = load_dataset(written(tmp_path, lines))
+    assert len(data.scenes[0].times) == 30
+    assert any("lack cells at their ends" in note and ": 29," in note for note in data.notes)
+    whole = rows(T, X, X, T)
+    alone = [header, *whole[:-1], whole[-1].rsplit(",", 1)[0]]
+    with pytest.raises(DataError, match="it lacks remark; .*leaves it out"):
+        load_dataset(written(tmp_path, alone))
+    data = load_dataset(written(tmp_path, alone), columns={"remark": "ignore"})
+    assert len(data.scenes[0].times) == 30
+    with pytest.raises(DataError, match="line 3: this row has 2 cells.*it lacks y, remark"):
+        load_dataset(written(tmp_path, [header, *whole[:1], "0.1,0.5", *whole[2:]]))
+
+
 def test_a_lone_z_is_a_height(tmp_path):
     data = load_dataset(written(tmp_path, ["time (s),z (m),v (m/s)", *rows(T, X, T)]))
     assert data.up == "y"
