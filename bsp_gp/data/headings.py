@@ -22,10 +22,10 @@ from bsp_gp.data.polar_words import (
     is_position_angle,
 )
 from bsp_gp.data.scene import PROPERTY_UNITS
-from bsp_gp.data.sky import is_sky
+from bsp_gp.data.sky import HOURS, SKY_COLUMNS, is_sky
 from bsp_gp.data.words import apart, folded, plain_signs, word_set, words_for
 from bsp_gp.errors import in_python
-from bsp_gp.units import ACCELERATION, ANGLES, GRAVITIES, Unit
+from bsp_gp.units import ACCELERATION, ANGLES, GRAVITIES, OF_THE_SKY, Unit
 
 NUMBER_COLUMNS = (
     "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz", "svx", "svy", "svz",
@@ -33,8 +33,8 @@ NUMBER_COLUMNS = (
 TEXT_COLUMNS = ("scene", "entity")
 ALIASES = {
     "particle": "entity", "object": "entity", "track": "entity", "ra": "ra", "dec": "dec",
-    "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "declination": "dec", "epoch": "t",
-    "jdtdb": "t", "jd_tdb": "t", "x_value": "t",
+    "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "right ascension": "ra",
+    "declination": "dec", "epoch": "t", "jdtdb": "t", "jd_tdb": "t", "x_value": "t",
     **POLAR_ALIASES,
 }  # fmt: skip
 LITERAL, WORD, GUESS, UNKNOWN = range(4)
@@ -174,6 +174,8 @@ _CLOCK_UNITS = {
 IGNORE = "ignore"
 BY_WORDS = "columns read by their words"
 """How a note of guesses begins."""
+_ON_THE_SKY = HOURS | frozenset(ANGLES) | frozenset(OF_THE_SKY)
+"""Units of places on the sky."""
 _GUESSES = {
     "t": words_for("date"),
     "frame": words_for("frame"),
@@ -541,6 +543,8 @@ def _split_unit(cell, back, is_track):
     for match in filter(None, (mark.fullmatch(cell) for mark in (_AFTER_MARK, _AFTER_LAST_MARK))):
         stem = match[1].strip()
         name = back.get(cell, back.get(stem, _our_name(stem)[0]))
+        if is_track and name in SKY_COLUMNS and match[2].strip().lower() in _ON_THE_SKY:
+            return stem, match[2].strip()
         if is_track and name not in _UNIT_OF:
             name = _guess(stem) or _of_body(Heading(stem, match[2].strip(), cell)).name
         if name in _UNIT_OF and unit_of(match[2]) == _UNIT_OF[name]:
