@@ -114,6 +114,8 @@ _ERROR_OF = re.compile(rf"{_ERROR_MARK}(?:of)?(.*)|(.+?){_ERROR_MARK}")
 """Whose error a heading is, without blanks; ``dx``, ``e_x`` and ``u_x`` are other things too."""
 _ANGLE = re.compile(rf"(?:{'|'.join(sorted(words_for('angle')))})[\s_-]?(\w*)")
 """An angle, and whose it is: ``theta``, ``phi1``, ``angle_upper``."""
+_BEFORE_ANGLE = r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)"
+"""An angle, a mark, and its unit."""
 _COUNT_WORDS = word_set("nr no number num nummer index idx # id n° nº numéro número numero of the")
 _INPUT = re.compile(r"[ab]\d|&[a-z]")
 """Of an interface, as in ``s_A1``, and signs for Greek letters as CASSY writes them, ``&b_A1``."""
@@ -387,7 +389,8 @@ def headings(cells, rename=None, *, is_track=True):
     if is_track:
         found = _without_sensors(_as_said(found))
         found = _with_glued_places(_with_bodies(found))
-        found = _with_counted_places(_with_angles(_with_polar_errors(_turned(found))))
+        found = _with_polar_errors(_turned(_with_kept_angles(found)))
+        found = _with_counted_places(_with_angles(found))
         found = _with_dates(found)
         found = _without_courses([_guessed(h, {f.name for f in found}) for h in found])
         found = _with_errors(_with_clock(found))
@@ -813,6 +816,20 @@ def _with_counted_places(found):
     ]  # fmt: skip
 
 
+def _with_kept_angles(found):
+    """Angles whose unit is declared under a whole name, ``angle_deg``, where nothing is a place.
+
+    Beside places such a name is kept: it is that of an input.
+    """
+    if has_place(found) or any(_guess(h.name) in ("x", "y") for h in found if h.sure == UNKNOWN):
+        return found
+    return [
+        _read(h.theirs, {}, True)
+        if h.is_renamed and h.name == h.theirs and is_angle_name(h.name) else h
+        for h in found
+    ]  # fmt: skip
+
+
 def _with_angles(found):
     """``theta``, or ``phi1`` and ``phi2``, as coordinates of bodies, where no column is a place."""
     if has_place(found) or any(_guess(h.name) in ("x", "y") for h in found if h.sure == UNKNOWN):
@@ -856,8 +873,9 @@ def _as_angle(heading):
     if heading.sure != UNKNOWN or heading.body:
         return heading
     stem, unit = heading.name.strip(), heading.unit
-    cut = re.fullmatch(r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)", stem)
-    if not unit and cut and is_angle(cut[2]):
+    cuts = [cut for mark in (_BEFORE_ANGLE, r"(.+)_([^_]+)") if (cut := re.fullmatch(mark, stem))]
+    cut = next((cut for cut in cuts if is_angle(cut[2])), None)
+    if not unit and cut:
         stem, unit = cut[1], cut[2]
     match = _ANGLE.fullmatch(folded(stem))
     if not match or is_error(match[1]) or (unit and not is_angle(unit)):

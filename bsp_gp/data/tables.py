@@ -585,9 +585,10 @@ def _with_angles(table, declaration):
     theirs = table.theirs.get("x", "")
     known = {*declaration.units, *table.units}
     if not own and is_angle_name(theirs) and not known & {"x", "length"}:
+        clock = "" if known & {"t", "time"} else " t=s"
         raise DataError(
             f"{theirs!r} is an angle in an unknown unit", file=table.file, column=theirs,
-            remedy=f"declare it: --units {theirs}=rad t=s, or {theirs}=deg",
+            remedy=f"declare it: --units {quoted(theirs)}=rad{clock}, or {quoted(theirs)}=deg",
         )  # fmt: skip
     if not own or "x" not in table.frame:
         return declaration

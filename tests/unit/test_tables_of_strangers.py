@@ -203,3 +203,34 @@ def test_dates_of_our_era_are_dates(tmp_path):
     data = load_dataset(written(tmp_path, ["Date,X_AU,Y_AU", *rows(days, X, X**2)]))
     np.testing.assert_allclose(data.scenes[0].times, 86400 * np.arange(30))
     assert any("since 2025-07-01" in note for note in data.notes)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Tempo_ms,Angulo_Real_graus,Alvo_graus", "tiempo_ms,angulo_medido_grados,x_ref",
+        "temps_ms,angle_degres,consigne", "zeit_ms,winkel_ist_grad,soll", "t_ms,theta_top_deg,ref",
+    ],
+)  # fmt: skip
+def test_the_end_of_the_name_of_an_angle_is_its_unit(tmp_path, header):
+    """Whatever words are between, in any language; and so it is of the clock."""
+    path = written(tmp_path, [header, *rows(T * 1000, 40 * X, 0 * X)])
+    angle = header.split(",")[1]
+    for units in ({}, {angle: "deg"}, {angle: "deg", "t": "ms"}):
+        data = load_dataset(path, units=units)
+        assert data.units.is_angle
+        np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], np.radians(40 * X))
+        np.testing.assert_allclose(data.scenes[0].times, T)
+    data = load_dataset(path, units={angle: "rad"})
+    np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], 40 * X)
+
+
+def test_what_is_asked_of_an_angle_says_no_unit_of_a_clock_that_has_one(tmp_path):
+    path = written(tmp_path, ["Tempo_ms,Angulo_Real,Alvo", *rows(T * 1000, X, 0 * X)])
+    with pytest.raises(DataError, match="unknown unit") as error:
+        load_dataset(path)
+    assert '"t"' not in str(error.value) and '{"Angulo_Real": "rad"}' in str(error.value)
+    assert load_dataset(path, units={"Angulo_Real": "deg"}).units.is_angle
+    path = written(tmp_path, ["Tempo,Angulo_Real", *rows(T, X)])
+    with pytest.raises(DataError, match='"t": "s"'):
+        load_dataset(path)
