@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from bsp_gp.data.clock import slope_on_clock
 from bsp_gp.data.conversion import is_unit, unit_of
 from bsp_gp.data.headings import (
     is_acceleration,
@@ -20,7 +21,7 @@ from bsp_gp.data.headings import (
     is_rate,
 )
 from bsp_gp.data.roster import numbers_of
-from bsp_gp.data.scene import SUMS
+from bsp_gp.data.scene import CHECK, SUMS
 from bsp_gp.data.sight import along_sight, sighted
 from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, summed
 from bsp_gp.errors import DataError
@@ -76,7 +77,10 @@ def from_rates(table, declaration):
         if found:
             _require_no_places(table, declaration, found if velocity == VELOCITIES else {})
             table = _without(table, set(_misnamed(table, declaration)) - set(found.values()))
-            table = _with_errors(table, found) if velocity == VELOCITIES else table
+            if velocity == VELOCITIES:
+                table = _with_errors(table, found)
+            else:
+                table = replace(table, notes=(*table.notes, *_clocks_in(table, found)))
             return summed(table, declaration, _rates(table, declaration, found, velocity))
     return table, declaration
 
@@ -145,6 +149,19 @@ def _likeness(one, other):
     if len(one) < LEAST_ALIKE or not (np.ptp(one) > 0 and np.ptp(other) > 0):
         return 0.0
     return float(np.corrcoef(one, other)[0, 1])
+
+
+def _clocks_in(table, found):
+    """Checks of what is named as an acceleration and goes up with the time from row to row."""
+    if "t" not in table.frame.columns:
+        return ()
+    times = numbers_of(table, "t")
+    theirs = {axis: table.theirs.get(name, name) for axis, name in found.items()}
+    return tuple(
+        f"{CHECK}{theirs[axis]!r} increases with the time from row to row: it is a clock rather "
+        f"than an acceleration a{axis}, and the axes may be the columns behind it"
+        for axis, name in found.items() if slope_on_clock(times, numbers_of(table, name))
+    )  # fmt: skip
 
 
 def _without(table, columns):
