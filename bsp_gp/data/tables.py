@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.apart import recordings_apart
+from bsp_gp.data.apart import below_each_other, recordings_apart
 from bsp_gp.data.assembly import (
     along_named_axis,
     axes_of,
@@ -325,6 +325,7 @@ def _roster_of(entities):
 def _assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
     if roster is None:
+        table = below_each_other(table)
         table = with_properties_by_words(table, declaration.units)
         roster, table = roster_within(table, declaration.units)
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])

@@ -234,3 +234,29 @@ def test_what_is_asked_of_an_angle_says_no_unit_of_a_clock_that_has_one(tmp_path
     path = written(tmp_path, ["Tempo,Angulo_Real", *rows(T, X)])
     with pytest.raises(DataError, match='"t": "s"'):
         load_dataset(path)
+
+
+def test_recordings_below_a_clock_that_begins_anew_are_scenes(tmp_path):
+    """Each begins where the first did, if not at the same instant, and has rows of its own."""
+    runs = [(T, X), (0.1 + T[:12], X[5:17]), (T[:9], -X[:9])]
+    lines = [line for t, x in runs for line in rows(t, x, x)]
+    data = load_dataset(written(tmp_path, ["t (s),x (m),y (m)", *lines]))
+    assert [scene.name for scene in data.scenes] == ["part 1", "part 2", "part 3"]
+    for scene, (t, x) in zip(data.scenes, runs, strict=True):
+        np.testing.assert_allclose(scene.times, t)
+        np.testing.assert_allclose(scene.positions[:, 0, 0], x)
+    assert any("begins anew in line 32, 44" in note for note in data.notes)
+    speeds = [line for t, x in runs[:2] for line in rows(t, x)]
+    data = load_dataset(written(tmp_path, ["t (s),vx (m/s)", *speeds]))
+    assert len(data.scenes) == 2
+
+
+@pytest.mark.parametrize(
+    "second",
+    [T[:6], T[:12] + 0.9, np.append(T[:12], T[3:12]), np.append(T[:12], T[11])],
+    ids=["few rows", "begins elsewhere", "goes back", "stands still"],
+)
+def test_what_goes_back_otherwise_is_asked_for(tmp_path, second):
+    lines = [*rows(T, X, X), *rows(second, *[X[: len(second)]] * 2)]
+    with pytest.raises(DataError, match="must increase|two rows at t"):
+        load_dataset(written(tmp_path, ["t,x,y", *lines]))
