@@ -141,6 +141,10 @@ _BESIDE_WORDS = word_set(
     " area size fläche"
 )
 """What is logged beside a motion, and is no place."""
+_SHORT_BESIDE = word_set(
+    "pres press baro hum rh hpa kpa mbar temp tmp lux volt amp amps bat batt vbat vcc co2 ppm"
+)
+"""The same in short, where a heading is nothing else but a letter and a number."""
 _PROCESSED_WORDS = word_set(
     "raw smooth smoothed filtered filter pixel pixels px image screen offset min max mean average"
     " center centre target roh geglättet origin scale old new next previous prev"
@@ -294,7 +298,13 @@ def is_rate(text):
 
 def is_no_place(text):
     """Whether a heading speaks of what is measured beside a motion, or has a unit of its own."""
-    return bool(words_of(text) & _BESIDE_WORDS) or re.search(r"[)\]}>]$", text.strip()) is not None
+    words = words_of(text)
+    plain = {word if word in _SHORT_BESIDE else word.rstrip("0123456789%") for word in words} - {""}
+    is_short = bool(plain & _SHORT_BESIDE) and all(
+        word in _SHORT_BESIDE or len(word) == 1 for word in plain
+    )
+    is_named = is_short or bool((words | plain) & _BESIDE_WORDS)
+    return is_named or re.search(r"[)\]}>]$", text.strip()) is not None
 
 
 def property_of_words(text, unit=""):
@@ -517,6 +527,8 @@ def _read(cell, back, is_track, ignored=()):
         if text in back:
             return Heading(back[text], unit, cell, stem, LITERAL, run, is_renamed=True)
     ours, sure = _our_name(stem)
+    if ours == "t" and unit and unit_of(unit) not in (None, _TIME):
+        ours, sure = cell, UNKNOWN  # ``T (C)`` is a temperature
     return Heading(ours, unit, cell, cell if run else stem, sure, run)
 
 

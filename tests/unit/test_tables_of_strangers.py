@@ -260,3 +260,16 @@ def test_what_goes_back_otherwise_is_asked_for(tmp_path, second):
     lines = [*rows(T, X, X), *rows(second, *[X[: len(second)]] * 2)]
     with pytest.raises(DataError, match="must increase|two rows at t"):
         load_dataset(written(tmp_path, ["t,x,y", *lines]))
+
+
+@pytest.mark.parametrize(
+    "beside", ["Pres", "press", "P(hPa)", "P_hPa", "baro", "hum", "RH", "RH%", "temp1", "T (C)"]
+)
+def test_short_words_of_what_is_logged_beside_a_motion_are_no_places(tmp_path, beside):
+    path = written(tmp_path, [f"Time,{beside},Alt", *rows(T, 900 + X, X)])
+    data = load_dataset(path)
+    np.testing.assert_allclose(data.scenes[0].times, T)
+    np.testing.assert_allclose(data.scenes[0].positions[:, 0, 1], X)
+    other = written(tmp_path, ["Time,depressed,Alt", *rows(T, 900 + X, X)])
+    with pytest.raises(DataError, match="no column 'x'"):
+        load_dataset(other)
