@@ -20,11 +20,12 @@ from bsp_gp.data.headings import (
     is_own_speed,
     is_rate,
 )
+from bsp_gp.data.property_columns import quoted
 from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK, SUMS
 from bsp_gp.data.sight import along_sight, sighted
-from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, summed
-from bsp_gp.errors import DataError
+from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, has_swing, summed
+from bsp_gp.errors import DataError, in_python
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
 _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
@@ -80,7 +81,8 @@ def from_rates(table, declaration):
             if velocity == VELOCITIES:
                 table = _with_errors(table, found)
             else:
-                table = replace(table, notes=(*table.notes, *_clocks_in(table, found)))
+                told = (*_clocks_in(table, found), *_told_shaken(table, declaration, found))
+                table = replace(table, notes=(*table.notes, *told))
             return summed(table, declaration, _rates(table, declaration, found, velocity))
     return table, declaration
 
@@ -246,7 +248,39 @@ def _accelerations(table, declaration):
     """Axis -> column of accelerations along which something moves; empty where there is none."""
     found = _all_accelerations(table, declaration)
     is_said = any(f"a{axis}" in declaration.columns for axis in "xyz")
-    return found if is_said else _moved(table, found)
+    return found if is_said or _is_shaken(table, found) else _moved(table, found)
+
+
+def _is_shaken(table, found):
+    """Whether the one axis of most accelerations is not that along which most adds up.
+
+    A cart that rattles is shaken up and down by more than what makes it roll. What swings along an
+    axis moves along it, whatever adds up beside that.
+    """
+    names = list(found.values())
+    lone = _lone(table, names)
+    if len(names) < 2 or len(lone) > 1:
+        return False
+    values = np.stack([numbers_of(table, name) for name in names], axis=1)
+    values = values[np.isfinite(values).all(axis=1)]
+    own = names.index(lone[0])
+    if len(values) < LEAST_ALIKE or has_swing(values[:, [own]]):
+        return False
+    sums = np.cumsum(values - values.mean(axis=0), axis=0).var(axis=0)
+    return bool(np.delete(sums, own).max() >= LONE * sums[own])
+
+
+def _told_shaken(table, declaration, found):
+    """A note of axes that are all kept since the one of most accelerations is only shaken."""
+    is_said = any(f"a{axis}" in declaration.columns for axis in "xyz")
+    if is_said or not _is_shaken(table, found):
+        return ()
+    (name,) = _lone(table, list(found.values()))
+    text = table.theirs.get(name, table.unused.get(name, name))
+    return (in_python(
+        f"accelerations are by far the largest in {text!r}, but what adds up is along others as "
+        f"well: all axes are kept; --columns ax={quoted(text)} takes one"
+    ),)  # fmt: skip
 
 
 def _all_accelerations(table, declaration):
