@@ -504,7 +504,8 @@ def _left_out_bodies(table, inputs):
 def _with_their_names(table, declaration):
     """The declaration with units under our names that are declared under those of the file."""
     used = [(name, theirs) for name, theirs in table.theirs.items() if name in table.frame]
-    ours = {re.sub(r"\s*[\[(].*", "", theirs).strip(): name for name, theirs in used}
+    ours = {theirs: name for name, theirs in (*table.unused.items(), *used)}
+    ours |= {re.sub(r"\s*[\[(].*", "", theirs).strip(): name for name, theirs in used}
     taken = {*table.frame.columns, *KINDS}
     ours = ours if "t" in taken or "time" in declaration.units else {**ours, "t": "time"}
     return dataclasses.replace(declaration, units={
