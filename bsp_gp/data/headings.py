@@ -517,6 +517,7 @@ def _read(cell, back, is_track, ignored=()):
         rest = _AXIS_IN_BRACKETS.sub(r"\1 \2\3", _SUBSCRIPT.sub(r" \1", rest))
     stem, unit = _split_unit(rest, back, is_track)
     unit = "g" if not unit and _G_FORCE.fullmatch(stem) else unit
+    unit = "rpm" if not unit and is_track and "rpm" in words_of(stem) else unit
     bare = re.sub(r"\s*[(\[{<].*$", "", rest)  # before what is no unit that we know
     for text in (cell, rest, stem, bare):
         if text in ignored:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.clock import slope_on_clock
-from bsp_gp.data.conversion import is_unit, unit_of
+from bsp_gp.data.conversion import is_unit, size_of, unit_of
 from bsp_gp.data.headings import (
     is_acceleration,
     is_doubt,
@@ -29,6 +29,8 @@ from bsp_gp.errors import DataError, in_python
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
 _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
+_OF_TURNS = re.compile(r"rad|deg|°|rpm|[^\W\d]+/(?:min|мин)")
+"""A rate is one of turns in these units; another may be anything."""
 _WHOLE = frozenset("absolute absolut abs magnitude betrag total norm tgf".split())
 _SENSORS = {
     "m/s^2": frozenset("accelerometer acceleration".split()),
@@ -347,7 +349,7 @@ def _is(text, unit):
 
 def _is_turn(heading, unit):
     """Whether a column is a rate at which something turns."""
-    is_angular = _is(unit, _RATE) and any(part in unit.lower() for part in ("rad", "deg", "°"))
+    is_angular = _is(unit, _RATE) and bool(_OF_TURNS.search(unit.lower()))
     return is_angular or (not unit and is_rate(heading))
 
 
@@ -412,7 +414,7 @@ def _scale(table, declaration, found, velocity):
     if not (_is(text, _SPEED if order == 1 else ACCELERATION) or _is(text, of_turns)):
         return 1.0, {}
     is_turn, is_in_pixels = unit_of(text) == of_turns, "px" in text.lower()
-    value = parse_unit(re.sub("(?i)px", "m", text))[0]
+    value = size_of(text)
     scale = value * clock
     if is_in_pixels:
         return scale, dict.fromkeys(found, "px")
