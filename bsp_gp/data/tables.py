@@ -44,6 +44,7 @@ from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.properties import LEFT_OUT, read_properties, with_properties
 from bsp_gp.data.property_columns import quoted, unread_masses, with_properties_by_words
 from bsp_gp.data.rates import from_rates
+from bsp_gp.data.records import told_of_record
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, Dataset, Entity
 from bsp_gp.data.several import joined, tables_of
@@ -155,8 +156,16 @@ def _matching(path):
     return found or [path]
 
 
-def _loaded(path, *, units, columns, fps, dt, properties, sky, uses=(), train=None, test=None):
+def _loaded(path, **reading):
     """One file or folder, without what is said of properties beside it."""
+    try:
+        return _read(path, **reading)
+    except DataError as error:
+        raise told_of_record(error, path) from None
+
+
+def _read(path, *, units, columns, fps, dt, properties, sky, uses=(), train=None, test=None):
+    """One file or folder; errors speak of lines of the table that is made of it."""
     if path.is_dir():
         path = _data_of_recording(path)
         trajectories = path / TRAJECTORIES
