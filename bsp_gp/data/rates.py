@@ -19,12 +19,14 @@ from bsp_gp.data.headings import (
     is_error_of,
     is_own_speed,
     is_rate,
+    words_of,
 )
 from bsp_gp.data.property_columns import quoted
 from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK, SUMS
 from bsp_gp.data.sight import along_sight, sighted
 from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, has_swing, summed
+from bsp_gp.data.words import words_for
 from bsp_gp.errors import DataError, in_python
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
@@ -236,6 +238,7 @@ def _velocities(table, declaration):
     named = [n for n in named if not units[n] or unit_of(units[n]) == _SPEED]
     of_unit = [n for n in table.unused if n in columns and _is(units[n], _SPEED)]
     speeds = named or [n for n in of_unit if not is_doubt(theirs[n])]
+    _require_right_unit(table, declaration, {n: theirs[n] for n in speeds})
     turns = [n for n in table.unused if n in columns and _is_turn(theirs[n], units[n])]
     found = speeds or turns
     if len(found) > 1:
@@ -244,6 +247,32 @@ def _velocities(table, declaration):
     if len(found) > 1:
         _refuse_several(table, [theirs[n] for n in found], VELOCITIES)
     return {"x": found[0]} if found else {}
+
+
+def _require_right_unit(table, declaration, theirs):
+    """DataError where a heading speaks of an acceleration and its unit is that of a velocity.
+
+    Parameters
+    ----------
+    theirs : mapping of str to str
+        Name of a column -> its heading.
+    """
+    odd = {
+        n: text for n, text in theirs.items()
+        if is_acceleration(re.sub(r"\s*[\[(].*", "", text)) and n not in declaration.units
+        and not words_of(text) & words_for("speed")
+    }  # fmt: skip
+    if not odd:
+        return
+    (name, first), *_ = odd.items()
+    unit = table.units.get(name, "m/s")
+    options = " ".join(f"{quoted(n)}={unit}^2" for n in odd)
+    raise DataError(
+        f"{first!r} speaks of an acceleration, and {unit} is a unit of velocities", file=table.file,
+        column=first,
+        remedy=f"say which it is: --units {options} of accelerations, or --units "
+        f"{options.replace('^2', '')} of velocities",
+    )  # fmt: skip
 
 
 def _accelerations(table, declaration):

@@ -266,3 +266,14 @@ def test_columns_of_accelerations_without_a_header_are_named_by_their_numbers(tm
         load_dataset(path)
     data = load_dataset(path, columns={"t": "2", "ax": "3", "ay": "4", "az": "5"})
     assert data.velocity == "unseen" and any("gravity" in note for note in data.notes)
+
+
+def test_an_acceleration_in_a_unit_of_velocities_is_asked_for(rng):
+    t, a = swinging(rng)
+    frame = pd.DataFrame({"t (s)": t, "Accel(m/s)": a})
+    with pytest.raises(DataError, match="speaks of an acceleration, and m/s is a unit of velo"):
+        Dataset.from_frames(frame)
+    for unit, kind in (("m/s^2", "unseen"), ("m/s", "only")):
+        assert Dataset.from_frames(frame, units={"Accel": unit}).velocity == kind
+    of_sums = frame.set_axis(["t (s)", "Speed by accelerometer (m/s)"], axis=1)
+    assert Dataset.from_frames(of_sums).velocity == "only"
