@@ -302,17 +302,18 @@ def _require_even_rows(source, layout, head):
 
     Rows may lack cells at their ends that mean nothing to us. Of what is cut off in the middle of a
     line the last cell that is there may be a part of a number: one row alone that ends with what is
-    used is refused, unless the caller leaves out all that it lacks. A file that adds up is not
-    scanned.
+    used is refused, unless the caller leaves out all that it lacks; and so are all rows, whose
+    header may have a comma in a name. A file that adds up is not scanned.
     """
     if layout.delimiter is None or _adds_up(source, layout, head):
         return ()
     n_cells, n_used = len(layout.names), _n_used(layout)
     is_left = all(h.ignored for h in layout.headings[n_used:])
-    short, cut = [], []
+    short, cut, is_ever = [], [], False
     with source.open(newline="") as stream:
         for line, row in enumerate(csv.reader(stream, delimiter=layout.delimiter), start=1):
             is_row = line > layout.data_line and any(cell.strip() for cell in row)
+            is_ever = is_ever or (is_row and n_used < len(row) <= n_cells)
             if not is_row or len(row) == n_cells:
                 continue
             if not n_used <= len(row) < n_cells:
@@ -320,7 +321,7 @@ def _require_even_rows(source, layout, head):
             short.append(line)
             if len(row) == n_used and not is_left:
                 cut.append(line)
-    if len(cut) == 1:
+    if len(cut) == 1 or (cut and not is_ever):
         _refuse_uneven(source, layout, head, cut[0], n_used)
     told = f"rows lack cells at their ends, which are not used: {len(short)}, the first is line"
     return (f"{told} {short[0]}",) if short else ()
