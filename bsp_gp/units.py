@@ -263,7 +263,9 @@ def _in_base_units(text):
 
 
 ANGLES = dict.fromkeys(("rad", "radian", "radians", "radiant"), 1.0) | dict.fromkeys(
-    "deg ° degree degrees grad grados grado gradi degré degrés graus graden".split(), math.pi / 180
+    "deg ° degree degrees grad grados grado gradi degré degrés degre degres graus grau graden"
+    " grader".split(),
+    math.pi / 180,
 )
 """Units of angles in the place of lengths, in rad."""
 UNCALIBRATED = {

@@ -1,16 +1,58 @@
 """Bodies of one table that are never seen at the same time: recordings of their own.
 
-One file may hold throw after throw of one ball, each under a name of its own. As one scene every
-throw would exist from the first row on, long before it is seen, and a law that brings tracks
-together in the past (drag, run backwards) could not be fitted at all.
+So is what stands below a clock that begins anew. One file may hold throw after throw of one ball,
+each under a name of its own. As one scene every throw would exist from the first row on, long
+before it is seen, and a law that brings tracks together in the past (drag, run backwards) could not
+be fitted at all.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.data.notes import listed
+from bsp_gp.data.roster import numbers_of
+from bsp_gp.data.scene import CHECK
+
+LEAST_PART, NEAR_START = 8, 2.0
+"""Rows of what is a recording of its own below a clock that begins anew, and usual steps by which
+its first time may differ from that of the file."""
 MAX_NAMES = 3
 """Bodies that the name of a scene tells, and scenes that a note lists times four."""
+
+
+def below_each_other(table):
+    """A table whose clock falls back to its own beginning as recordings, each a scene; and a note.
+
+    Every part of it must increase from row to row. Where a column tells recordings or bodies apart,
+    or times are dates, it is left as it is.
+    """
+    columns = set(map(str, table.frame.columns))
+    if "t" not in columns or {"scene", "entity"} & columns or table.is_dated:
+        return table
+    if table.frame["t"].dtype.kind not in "fiu":
+        return table
+    times = numbers_of(table, "t")
+    starts = np.flatnonzero(np.diff(times) < 0) + 1
+    parts = np.split(times, starts)
+    if len(parts) < 2 or not all(_begins_as(part, times[0]) for part in parts):
+        return table
+    names = [f"part {k}" for k, part in enumerate(parts, 1) for _ in part]
+    lines = listed(table.frame.index[starts].tolist(), 4 * MAX_NAMES)
+    note = (
+        f"{CHECK}the clock begins anew in line {lines}: read as recordings below each other, "
+        f"scenes part 1 to part {len(parts)}; if they are bodies of one recording, add a column "
+        "entity that names them"
+    )
+    return replace(table, frame=table.frame.assign(scene=names), notes=(*table.notes, note))
+
+
+def _begins_as(times, first):
+    """Whether times are those of a recording that begins at about a first time."""
+    if len(times) < LEAST_PART or not np.isfinite(times).all():
+        return False
+    steps = np.diff(times)
+    return bool((steps > 0).all() and abs(times[0] - first) <= NEAR_START * np.median(steps))
 
 
 def recordings_apart(rows, roster, has_scenes):

@@ -524,7 +524,8 @@ def _check_order(rows):
             )  # fmt: skip
         rows.fail(
             f"times of {rows.label(k)} must increase, got {before:.9g} then {now:.9g}",
-            k, "t", f"sort the rows by time; {_BELOW}",
+            k, "t", "sort the rows by time, or mend the clock if they are in their order as they "
+            f"stand; {_BELOW}",
         )  # fmt: skip
     smallest = np.full(len(rows.scene_names), np.inf)
     np.minimum.at(smallest, rows.scene[order[1:]][same], steps[same])

@@ -20,10 +20,23 @@ FAR = 12.0
 """Way at the speed of the body, in the same, that it would have gone."""
 SURE = 4.0
 """Standard errors by which a speed is taken smaller than it looks."""
+SAME_CLOCK = 0.1
+"""Part of the usual step by which what goes up with a clock may be off it."""
 _S = np.arange(2 * SIDE) - SIDE + 0.5
 _DESIGN = np.stack([_S**0, _S, _S**2, (_S > 0) - 0.5, _S**3], axis=1)
 _FIT = np.linalg.pinv(_DESIGN)
 _SLOPE = np.linalg.pinv(_DESIGN[:SIDE, :2])[1]
+
+
+def slope_on_clock(times, values):
+    """What a column goes up in a unit of a clock, where it does so from row to row; else 0.0."""
+    steps, rises = np.diff(times), np.diff(values)
+    is_known = len(steps) >= SIDE and np.isfinite(steps).all() and np.isfinite(rises).all()
+    if not is_known or (steps <= 0).any() or (rises <= 0).any():
+        return 0.0
+    slope = float((values[-1] - values[0]) / (times[-1] - times[0]))
+    off = np.abs(values - values[0] - slope * (times - times[0]))
+    return slope if off.max() < SAME_CLOCK * np.median(rises) else 0.0
 
 
 def check_declared_rate(rows, declaration, second):

@@ -49,6 +49,11 @@ def unit_of(text):
         return None
 
 
+def size_of(text):
+    """What one of a unit is in SI, pixels in the place of metres; UnitError if it is none."""
+    return _scale(text)[0]
+
+
 def is_inertia(name, text, system):
     """Whether a mass is told in kg m^2: where places are angles, inertia stands in its place."""
     return name == "mass" and system.is_angle and unit_of(text) == Unit.of(kg=1, m=2)

@@ -28,6 +28,7 @@ from bsp_gp.data.headings import (
     told,
 )
 from bsp_gp.data.polar import POLAR_COLUMNS
+from bsp_gp.data.property_columns import quoted
 from bsp_gp.data.sniffing import DELIMITER_NAMES, sniff, split_line
 from bsp_gp.data.sources import open_source
 from bsp_gp.data.steps import with_even_clocks, with_sums_of_steps
@@ -300,40 +301,68 @@ def _require_even_rows(source, layout, head):
     """Notes of short rows; names the first row whose number of cells differs.
 
     Rows may lack cells at their ends that mean nothing to us. Of what is cut off in the middle of a
-    line the last cell that is there may be a part of a number. A file that adds up is not scanned.
+    line the last cell that is there may be a part of a number: one row alone that ends with what is
+    used is refused, unless the caller leaves out all that it lacks; and so are all rows, whose
+    header may have a comma in a name. A file that adds up is not scanned.
     """
-    if layout.delimiter is None:
+    if layout.delimiter is None or _adds_up(source, layout, head):
         return ()
+    n_cells, n_used = len(layout.names), _n_used(layout)
+    is_left = all(h.ignored for h in layout.headings[n_used:])
+    short, cut, is_ever = [], [], False
+    with source.open(newline="") as stream:
+        for line, row in enumerate(csv.reader(stream, delimiter=layout.delimiter), start=1):
+            is_row = line > layout.data_line and any(cell.strip() for cell in row)
+            is_ever = is_ever or (is_row and n_used < len(row) <= n_cells)
+            if not is_row or len(row) == n_cells:
+                continue
+            if not n_used <= len(row) < n_cells:
+                _refuse_uneven(source, layout, head, line, len(row))
+            short.append(line)
+            if len(row) == n_used and not is_left:
+                cut.append(line)
+    if len(cut) == 1 or (cut and not is_ever):
+        _refuse_uneven(source, layout, head, cut[0], n_used)
+    told = f"rows lack cells at their ends, which are not used: {len(short)}, the first is line"
+    return (f"{told} {short[0]}",) if short else ()
+
+
+def _adds_up(source, layout, head):
+    """Whether there are as many delimiters as rows with all their cells have."""
     n_cells = len(layout.names)
     mark, counts = layout.delimiter.encode(), source.counts
     above = head[: layout.data_line]
     n_marks = counts[mark] - sum(line.count(layout.delimiter) for line in above)
     n_rows = counts[b"\n"] - len(above)
-    if counts[b'"'] == 0 and n_marks in (n_rows * (n_cells - 1), (n_rows + 1) * (n_cells - 1)):
-        first = head[layout.data_line : layout.data_line + 1]
-        if not first or len(split_line(first[0], layout.delimiter)) == n_cells:
-            return ()
-    has_header = layout.header_line >= 0
+    if counts[b'"'] or n_marks not in (n_rows * (n_cells - 1), (n_rows + 1) * (n_cells - 1)):
+        return False
+    first = head[layout.data_line : layout.data_line + 1]
+    return not first or len(split_line(first[0], layout.delimiter)) == n_cells
+
+
+def _n_used(layout):
+    """How many cells of a row have all that is used; more than there are where nothing is known."""
+    known = [k for k, h in enumerate(layout.headings) if h.sure != UNKNOWN]
+    return max(known, default=len(layout.names)) + 1
+
+
+def _refuse_uneven(source, layout, head, line, count):
+    """DataError about a row with so many cells, and what it lacks."""
+    n_cells, has_header = len(layout.names), layout.header_line >= 0
     first = "the header" if has_header else "the first row"
     rows = [split_line(text, layout.delimiter) for text in head[layout.data_line :] if text.strip()]
     by_number = _BY_NUMBER * (has_header and len(set(map(len, rows))) == 1 < len(rows[0]))
-    known = [k for k, h in enumerate(layout.headings) if h.sure != UNKNOWN]
-    least, short = max(known, default=n_cells) + 2, []
-    with source.open(newline="") as stream:
-        for line, row in enumerate(csv.reader(stream, delimiter=layout.delimiter), start=1):
-            if line <= layout.data_line or not any(cell.strip() for cell in row):
-                continue
-            if least <= len(row) < n_cells:
-                short.append(line)
-            elif len(row) != n_cells:
-                raise DataError(
-                    f"this row has {len(row)} cells, {first} has {n_cells} "
-                    f"({DELIMITER_NAMES[layout.delimiter]} between them)",
-                    file=source.path, row=line,
-                    remedy=f"every row needs as many cells as {first}{by_number}",
-                )  # fmt: skip
-    told = f"rows lack cells at their ends, which are not used: {len(short)}, the first is line"
-    return (f"{told} {short[0]}",) if short else ()
+    lacking = [h.theirs or str(k + 1) for k, h in enumerate(layout.headings)][count:]
+    told = f": it lacks {', '.join(lacking)}" if lacking else ""
+    options = " ".join(f"{quoted(name)}=ignore" for name in lacking)
+    is_idle = has_header and _n_used(layout) <= count < n_cells
+    left = f"; what it lacks is not used: --columns {options} leaves it out" if is_idle else ""
+    raise DataError(
+        f"this row has {count} cells, {first} has {n_cells} "
+        f"({DELIMITER_NAMES[layout.delimiter]} between them){told}",
+        file=source.path, row=line,
+        remedy=f"every row needs as many cells as {first}{left}{by_number}",
+    )  # fmt: skip
 
 
 def _read_frame(source, layout, as_text):

@@ -22,10 +22,10 @@ from bsp_gp.data.polar_words import (
     is_position_angle,
 )
 from bsp_gp.data.scene import PROPERTY_UNITS
-from bsp_gp.data.sky import is_sky
+from bsp_gp.data.sky import HOURS, SKY_COLUMNS, is_sky
 from bsp_gp.data.words import apart, folded, plain_signs, word_set, words_for
 from bsp_gp.errors import in_python
-from bsp_gp.units import ACCELERATION, ANGLES, GRAVITIES, Unit
+from bsp_gp.units import ACCELERATION, ANGLES, GRAVITIES, OF_THE_SKY, Unit
 
 NUMBER_COLUMNS = (
     "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz", "svx", "svy", "svz",
@@ -33,8 +33,8 @@ NUMBER_COLUMNS = (
 TEXT_COLUMNS = ("scene", "entity")
 ALIASES = {
     "particle": "entity", "object": "entity", "track": "entity", "ra": "ra", "dec": "dec",
-    "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "declination": "dec", "epoch": "t",
-    "jdtdb": "t", "jd_tdb": "t", "x_value": "t",
+    "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "right ascension": "ra",
+    "declination": "dec", "epoch": "t", "jdtdb": "t", "jd_tdb": "t", "x_value": "t",
     **POLAR_ALIASES,
 }  # fmt: skip
 LITERAL, WORD, GUESS, UNKNOWN = range(4)
@@ -114,6 +114,8 @@ _ERROR_OF = re.compile(rf"{_ERROR_MARK}(?:of)?(.*)|(.+?){_ERROR_MARK}")
 """Whose error a heading is, without blanks; ``dx``, ``e_x`` and ``u_x`` are other things too."""
 _ANGLE = re.compile(rf"(?:{'|'.join(sorted(words_for('angle')))})[\s_-]?(\w*)")
 """An angle, and whose it is: ``theta``, ``phi1``, ``angle_upper``."""
+_BEFORE_ANGLE = r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)"
+"""An angle, a mark, and its unit."""
 _COUNT_WORDS = word_set("nr no number num nummer index idx # id n° nº numéro número numero of the")
 _INPUT = re.compile(r"[ab]\d|&[a-z]")
 """Of an interface, as in ``s_A1``, and signs for Greek letters as CASSY writes them, ``&b_A1``."""
@@ -139,6 +141,10 @@ _BESIDE_WORDS = word_set(
     " area size fläche"
 )
 """What is logged beside a motion, and is no place."""
+_SHORT_BESIDE = word_set(
+    "pres press baro hum rh hpa kpa mbar temp tmp lux volt amp amps bat batt vbat vcc co2 ppm"
+)
+"""The same in short, where a heading is nothing else but a letter and a number."""
 _PROCESSED_WORDS = word_set(
     "raw smooth smoothed filtered filter pixel pixels px image screen offset min max mean average"
     " center centre target roh geglättet origin scale old new next previous prev"
@@ -174,6 +180,8 @@ _CLOCK_UNITS = {
 IGNORE = "ignore"
 BY_WORDS = "columns read by their words"
 """How a note of guesses begins."""
+_ON_THE_SKY = HOURS | frozenset(ANGLES) | frozenset(OF_THE_SKY)
+"""Units of places on the sky."""
 _GUESSES = {
     "t": words_for("date"),
     "frame": words_for("frame"),
@@ -290,7 +298,13 @@ def is_rate(text):
 
 def is_no_place(text):
     """Whether a heading speaks of what is measured beside a motion, or has a unit of its own."""
-    return bool(words_of(text) & _BESIDE_WORDS) or re.search(r"[)\]}>]$", text.strip()) is not None
+    words = words_of(text)
+    plain = {word if word in _SHORT_BESIDE else word.rstrip("0123456789%") for word in words} - {""}
+    is_short = bool(plain & _SHORT_BESIDE) and all(
+        word in _SHORT_BESIDE or len(word) == 1 for word in plain
+    )
+    is_named = is_short or bool((words | plain) & _BESIDE_WORDS)
+    return is_named or re.search(r"[)\]}>]$", text.strip()) is not None
 
 
 def property_of_words(text, unit=""):
@@ -385,7 +399,8 @@ def headings(cells, rename=None, *, is_track=True):
     if is_track:
         found = _without_sensors(_as_said(found))
         found = _with_glued_places(_with_bodies(found))
-        found = _with_counted_places(_with_angles(_with_polar_errors(_turned(found))))
+        found = _with_polar_errors(_turned(_with_kept_angles(found)))
+        found = _with_counted_places(_with_angles(found))
         found = _with_dates(found)
         found = _without_courses([_guessed(h, {f.name for f in found}) for h in found])
         found = _with_errors(_with_clock(found))
@@ -502,6 +517,7 @@ def _read(cell, back, is_track, ignored=()):
         rest = _AXIS_IN_BRACKETS.sub(r"\1 \2\3", _SUBSCRIPT.sub(r" \1", rest))
     stem, unit = _split_unit(rest, back, is_track)
     unit = "g" if not unit and _G_FORCE.fullmatch(stem) else unit
+    unit = "rpm" if not unit and is_track and "rpm" in words_of(stem) else unit
     bare = re.sub(r"\s*[(\[{<].*$", "", rest)  # before what is no unit that we know
     for text in (cell, rest, stem, bare):
         if text in ignored:
@@ -512,6 +528,8 @@ def _read(cell, back, is_track, ignored=()):
         if text in back:
             return Heading(back[text], unit, cell, stem, LITERAL, run, is_renamed=True)
     ours, sure = _our_name(stem)
+    if ours == "t" and unit and unit_of(unit) not in (None, _TIME):
+        ours, sure = cell, UNKNOWN  # ``T (C)`` is a temperature
     return Heading(ours, unit, cell, cell if run else stem, sure, run)
 
 
@@ -541,6 +559,8 @@ def _split_unit(cell, back, is_track):
     for match in filter(None, (mark.fullmatch(cell) for mark in (_AFTER_MARK, _AFTER_LAST_MARK))):
         stem = match[1].strip()
         name = back.get(cell, back.get(stem, _our_name(stem)[0]))
+        if is_track and name in SKY_COLUMNS and match[2].strip().lower() in _ON_THE_SKY:
+            return stem, match[2].strip()
         if is_track and name not in _UNIT_OF:
             name = _guess(stem) or _of_body(Heading(stem, match[2].strip(), cell)).name
         if name in _UNIT_OF and unit_of(match[2]) == _UNIT_OF[name]:
@@ -809,6 +829,20 @@ def _with_counted_places(found):
     ]  # fmt: skip
 
 
+def _with_kept_angles(found):
+    """Angles whose unit is declared under a whole name, ``angle_deg``, where nothing is a place.
+
+    Beside places such a name is kept: it is that of an input.
+    """
+    if has_place(found) or any(_guess(h.name) in ("x", "y") for h in found if h.sure == UNKNOWN):
+        return found
+    return [
+        _read(h.theirs, {}, True)
+        if h.is_renamed and h.name == h.theirs and is_angle_name(h.name) else h
+        for h in found
+    ]  # fmt: skip
+
+
 def _with_angles(found):
     """``theta``, or ``phi1`` and ``phi2``, as coordinates of bodies, where no column is a place."""
     if has_place(found) or any(_guess(h.name) in ("x", "y") for h in found if h.sure == UNKNOWN):
@@ -852,8 +886,9 @@ def _as_angle(heading):
     if heading.sure != UNKNOWN or heading.body:
         return heading
     stem, unit = heading.name.strip(), heading.unit
-    cut = re.fullmatch(r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)", stem)
-    if not unit and cut and is_angle(cut[2]):
+    cuts = [cut for mark in (_BEFORE_ANGLE, r"(.+)_([^_]+)") if (cut := re.fullmatch(mark, stem))]
+    cut = next((cut for cut in cuts if is_angle(cut[2])), None)
+    if not unit and cut:
         stem, unit = cut[1], cut[2]
     match = _ANGLE.fullmatch(folded(stem))
     if not match or is_error(match[1]) or (unit and not is_angle(unit)):

@@ -262,11 +262,15 @@ def _grid_steps(tracks):
 
     Exact motion under a constant force is on a grid too, one of its own making; what tells rounding
     from it is that third differences of rounded tracks do not vanish. An axis along which they
-    happen to vanish is rounded if it lies on the grid of one that shows it.
+    happen to vanish is rounded if it lies on the grid of one that shows it, the coarsest of these.
     """
     own = [grid_step(axis) for axis in tracks]
-    seen = [s for s, axis in zip(own, tracks, strict=True) if s and _is_rough(axis, s)]
-    whole = [next((s for s in seen if step and _is_multiple(step, s)), 0.0) for step in own]
+    is_seen = [bool(s) and _is_rough(axis, s) for s, axis in zip(own, tracks, strict=True)]
+    seen = [s for s, is_own in zip(own, is_seen, strict=True) if is_own]
+    whole = [
+        step if is_own else max((s for s in seen if step and _is_multiple(step, s)), default=0.0)
+        for step, is_own in zip(own, is_seen, strict=True)
+    ]
     large = [_step_of_large(axis, step) for axis, step in zip(tracks, own, strict=True)]
     return list(map(max, whole, large))
 
@@ -378,5 +382,7 @@ def _robust_scale(z):
         scale = _MAD_TO_SIGMA * float(np.median(moving))
     for _ in range(_N_PASSES):
         kept = z[z <= _CLIP * scale]
+        if not kept.any():  # all that moves is clipped where most rows repeat
+            break
         scale = math.sqrt(float(np.mean(kept**2))) / _CLIPPED_RMS
     return scale

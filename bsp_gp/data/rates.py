@@ -11,22 +11,28 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.conversion import is_unit, unit_of
+from bsp_gp.data.clock import slope_on_clock
+from bsp_gp.data.conversion import is_unit, size_of, unit_of
 from bsp_gp.data.headings import (
     is_acceleration,
     is_doubt,
     is_error_of,
     is_own_speed,
     is_rate,
+    words_of,
 )
+from bsp_gp.data.property_columns import quoted
 from bsp_gp.data.roster import numbers_of
-from bsp_gp.data.scene import SUMS
+from bsp_gp.data.scene import CHECK, SUMS
 from bsp_gp.data.sight import along_sight, sighted
-from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, summed
-from bsp_gp.errors import DataError
+from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, has_swing, summed
+from bsp_gp.data.words import words_for
+from bsp_gp.errors import DataError, in_python
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
 _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
+_OF_TURNS = re.compile(r"rad|deg|°|rpm|[^\W\d]+/(?:min|мин)")
+"""A rate is one of turns in these units; another may be anything."""
 _WHOLE = frozenset("absolute absolut abs magnitude betrag total norm tgf".split())
 _SENSORS = {
     "m/s^2": frozenset("accelerometer acceleration".split()),
@@ -76,7 +82,11 @@ def from_rates(table, declaration):
         if found:
             _require_no_places(table, declaration, found if velocity == VELOCITIES else {})
             table = _without(table, set(_misnamed(table, declaration)) - set(found.values()))
-            table = _with_errors(table, found) if velocity == VELOCITIES else table
+            if velocity == VELOCITIES:
+                table = _with_errors(table, found)
+            else:
+                told = (*_clocks_in(table, found), *_told_shaken(table, declaration, found))
+                table = replace(table, notes=(*table.notes, *told))
             return summed(table, declaration, _rates(table, declaration, found, velocity))
     return table, declaration
 
@@ -147,6 +157,19 @@ def _likeness(one, other):
     return float(np.corrcoef(one, other)[0, 1])
 
 
+def _clocks_in(table, found):
+    """Checks of what is named as an acceleration and goes up with the time from row to row."""
+    if "t" not in table.frame.columns:
+        return ()
+    times = numbers_of(table, "t")
+    theirs = {axis: table.theirs.get(name, name) for axis, name in found.items()}
+    return tuple(
+        f"{CHECK}{theirs[axis]!r} increases with the time from row to row: it is a clock rather "
+        f"than an acceleration a{axis}, and the axes may be the columns behind it"
+        for axis, name in found.items() if slope_on_clock(times, numbers_of(table, name))
+    )  # fmt: skip
+
+
 def _without(table, columns):
     """The table without columns that show nothing but noise beside another."""
     left = {name: table.theirs.get(name, name) for name in sorted(columns)}
@@ -215,6 +238,7 @@ def _velocities(table, declaration):
     named = [n for n in named if not units[n] or unit_of(units[n]) == _SPEED]
     of_unit = [n for n in table.unused if n in columns and _is(units[n], _SPEED)]
     speeds = named or [n for n in of_unit if not is_doubt(theirs[n])]
+    _require_right_unit(table, declaration, {n: theirs[n] for n in speeds})
     turns = [n for n in table.unused if n in columns and _is_turn(theirs[n], units[n])]
     found = speeds or turns
     if len(found) > 1:
@@ -225,11 +249,69 @@ def _velocities(table, declaration):
     return {"x": found[0]} if found else {}
 
 
+def _require_right_unit(table, declaration, theirs):
+    """DataError where a heading speaks of an acceleration and its unit is that of a velocity.
+
+    Parameters
+    ----------
+    theirs : mapping of str to str
+        Name of a column -> its heading.
+    """
+    odd = {
+        n: text for n, text in theirs.items()
+        if is_acceleration(re.sub(r"\s*[\[(].*", "", text)) and n not in declaration.units
+        and not words_of(text) & words_for("speed")
+    }  # fmt: skip
+    if not odd:
+        return
+    (name, first), *_ = odd.items()
+    unit = table.units.get(name, "m/s")
+    options = " ".join(f"{quoted(n)}={unit}^2" for n in odd)
+    raise DataError(
+        f"{first!r} speaks of an acceleration, and {unit} is a unit of velocities", file=table.file,
+        column=first,
+        remedy=f"say which it is: --units {options} of accelerations, or --units "
+        f"{options.replace('^2', '')} of velocities",
+    )  # fmt: skip
+
+
 def _accelerations(table, declaration):
     """Axis -> column of accelerations along which something moves; empty where there is none."""
     found = _all_accelerations(table, declaration)
     is_said = any(f"a{axis}" in declaration.columns for axis in "xyz")
-    return found if is_said else _moved(table, found)
+    return found if is_said or _is_shaken(table, found) else _moved(table, found)
+
+
+def _is_shaken(table, found):
+    """Whether the one axis of most accelerations is not that along which most adds up.
+
+    A cart that rattles is shaken up and down by more than what makes it roll. What swings along an
+    axis moves along it, whatever adds up beside that.
+    """
+    names = list(found.values())
+    lone = _lone(table, names)
+    if len(names) < 2 or len(lone) > 1:
+        return False
+    values = np.stack([numbers_of(table, name) for name in names], axis=1)
+    values = values[np.isfinite(values).all(axis=1)]
+    own = names.index(lone[0])
+    if len(values) < LEAST_ALIKE or has_swing(values[:, [own]]):
+        return False
+    sums = np.cumsum(values - values.mean(axis=0), axis=0).var(axis=0)
+    return bool(np.delete(sums, own).max() >= LONE * sums[own])
+
+
+def _told_shaken(table, declaration, found):
+    """A note of axes that are all kept since the one of most accelerations is only shaken."""
+    is_said = any(f"a{axis}" in declaration.columns for axis in "xyz")
+    if is_said or not _is_shaken(table, found):
+        return ()
+    (name,) = _lone(table, list(found.values()))
+    text = table.theirs.get(name, table.unused.get(name, name))
+    return (in_python(
+        f"accelerations are by far the largest in {text!r}, but what adds up is along others as "
+        f"well: all axes are kept; --columns ax={quoted(text)} takes one"
+    ),)  # fmt: skip
 
 
 def _all_accelerations(table, declaration):
@@ -296,7 +378,7 @@ def _is(text, unit):
 
 def _is_turn(heading, unit):
     """Whether a column is a rate at which something turns."""
-    is_angular = _is(unit, _RATE) and any(part in unit.lower() for part in ("rad", "deg", "°"))
+    is_angular = _is(unit, _RATE) and bool(_OF_TURNS.search(unit.lower()))
     return is_angular or (not unit and is_rate(heading))
 
 
@@ -361,7 +443,7 @@ def _scale(table, declaration, found, velocity):
     if not (_is(text, _SPEED if order == 1 else ACCELERATION) or _is(text, of_turns)):
         return 1.0, {}
     is_turn, is_in_pixels = unit_of(text) == of_turns, "px" in text.lower()
-    value = parse_unit(re.sub("(?i)px", "m", text))[0]
+    value = size_of(text)
     scale = value * clock
     if is_in_pixels:
         return scale, dict.fromkeys(found, "px")

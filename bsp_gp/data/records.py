@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from pathlib import Path
 
 import numpy as np
 
@@ -47,6 +48,16 @@ def as_table(text, path):
     writer.writerow(names)
     writer.writerows([record.get(name, "") for name in names] for record in records)
     return out.getvalue()
+
+
+def told_of_record(error, path):
+    """An error about a line of the table that was made of a file, as one of its record."""
+    if Path(path).suffix.lower() not in ENDINGS or error.row is None:
+        return error
+    where = f", record {error.row - 1}" if error.row > 1 else ""  # the first line has the names
+    return DataError(
+        error.problem, file=f"{error.file}{where}", column=error.column, remedy=error.remedy
+    )
 
 
 def _records(text, path):
@@ -101,10 +112,11 @@ def _of_line(line, number, path):
     try:
         found = json.loads(line)
     except ValueError as error:
-        raise DataError(f"this is no JSON ({error.msg})", file=path, row=number,
-                        remedy=_REMEDY) from None  # fmt: skip
+        raise DataError(
+            f"this is no JSON ({error.msg})", file=f"{path}, line {number}", remedy=_REMEDY
+        ) from None
     if not isinstance(found, dict):
-        raise DataError("this line is no record", file=path, row=number, remedy=_REMEDY)
+        raise DataError("this line is no record", file=f"{path}, line {number}", remedy=_REMEDY)
     return found
 
 

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.roster import fail_at, numbers_of, require_columns
-from bsp_gp.errors import DataError, UnitError
+from bsp_gp.data.scene import CHECK
+from bsp_gp.errors import DataError, UnitError, in_python
 from bsp_gp.units import OF_THE_SKY, Unit, parse_unit
 
 SKY_COLUMNS = ("ra", "dec", "sra", "sdec")
@@ -20,8 +21,10 @@ _SEXAGESIMAL = re.compile(
 )
 _AMOUNT = re.compile(r"\s*([-+.0-9]*(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*", re.DOTALL)
 """A number and its unit, with or without a blank between them."""
-_HOURS = 15.0
-"""Degrees of an hour of right ascension."""
+_HOURS, _DAY = 15.0, 24.0
+"""Degrees of an hour of right ascension, and hours of a turn."""
+HOURS = frozenset("h hr hrs hour hours hourangle".split())
+"""Units of right ascensions that are told in hours."""
 _WIDEST = 0.1
 """Radians from the middle beyond which a plane is no picture of the sky."""
 
@@ -106,24 +109,41 @@ def _offsets(table, found, units):
     rest = table.frame.drop(columns=[c for c in SKY_COLUMNS if c in table.frame.columns])
     degrees = f"{math.degrees(middle[0]) % 360:.8f}, {math.degrees(middle[1]):+.8f}"
     note = f"right ascension and declination are offsets to the east and north of ({degrees}) deg"
+    notes = (*table.notes, note, *_may_be_hours(table, found))
     own = {k: text for k, text in table.units.items() if k not in SKY_COLUMNS}
     units = {k: text for k, text in units.items() if k not in SKY_COLUMNS} | {"length": "arcsec"}
-    table = replace(table, frame=rest.assign(**new), units=own, notes=(*table.notes, note))
-    return table, units
+    return replace(table, frame=rest.assign(**new), units=own, notes=notes), units
+
+
+def _may_be_hours(table, found):
+    """A check where numbers of right ascensions have no unit and none is beyond a day."""
+    values = _plain_numbers(table.frame["ra"])
+    if found.get("ra") or values is None or np.nanmin(values) < 0 or np.nanmax(values) >= _DAY:
+        return ()
+    return (in_python(
+        f"{CHECK}right ascensions have no unit, and all are between 0 and {_DAY:g}: taken as "
+        "degrees; if they are hours, --units ra=h, and if they are degrees, --units ra=deg"
+    ),)  # fmt: skip
 
 
 def _angles(table, column, unit):
     """A column in radians: numbers in a unit (degrees without one), or sexagesimal."""
-    cells = table.frame[column]
-    try:
-        values = cells.to_numpy(dtype=float, na_value=np.nan)
-    except (ValueError, TypeError):
-        degrees = [_degrees(table, column, k, cell) for k, cell in enumerate(cells)]
+    values = _plain_numbers(table.frame[column])
+    if values is None:
+        degrees = [_degrees(table, column, k, cell) for k, cell in enumerate(table.frame[column])]
         scale = _HOURS if column == "ra" and unit.strip() not in ("deg", "°") else 1.0
         return np.radians(scale * np.array(degrees))
-    if unit.strip() in ("h", "hour", "hourangle"):
+    if unit.strip().lower() in HOURS:
         return np.radians(_HOURS * values)
     return values * _scale(table, column, unit or "deg")
+
+
+def _plain_numbers(cells):
+    """A column as floats; None where its cells are sexagesimal."""
+    try:
+        return cells.to_numpy(dtype=float, na_value=np.nan)
+    except (ValueError, TypeError):
+        return None
 
 
 def _degrees(table, column, k, cell):

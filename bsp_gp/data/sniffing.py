@@ -1,9 +1,13 @@
 """The layout of a delimited file, guessed from its first lines."""
 
+import math
 import re
 import sys
 from dataclasses import dataclass
 
+import numpy as np
+
+from bsp_gp.data.clock import slope_on_clock
 from bsp_gp.data.conversion import is_unit
 from bsp_gp.data.extent import JULIAN, are_within
 from bsp_gp.data.header_lines import (
@@ -35,6 +39,9 @@ ANY_RISE = 0.65
 """Part of the steps of no column that goes up, where none is a clock: half do of what wanders."""
 MOST_POWER = 300
 """Of ten that a number can have."""
+_UNITS_OF_TIME = tuple(math.log(n) for n in (1, 1e3, 1e6, 1e9, 60, 3600, 86400))
+_SAME_UNIT = 1e-3
+"""How many of one unit another of a time is, and the part by which a clock may be off that."""
 MOST_SHOWN = 6
 """Cells of a row that a complaint shows."""
 _DELIMITERS = (",", ";", "\t", None)
@@ -195,7 +202,8 @@ def _named_by_place(rows, rename):
         return {}
     if are_within(times[0], times[-1], (JULIAN,)):
         return {}  # what stands beside dates is asked for
-    if clock_among([columns[n] for n in kept]) not in (0, None):
+    clocks = clocks_among([columns[n] for n in kept])
+    if clock_among([columns[n] for n in kept]) not in (0, None) or len(clocks) > 1:
         return {}  # asked for
     return dict(zip("txyz", kept, strict=False))
 
@@ -226,6 +234,39 @@ def clock_among(columns):
             even.append(k)
     found = even or rising
     return found[0] if len(found) == 1 else None
+
+
+def clocks_among(columns):
+    """Which of some columns of texts are one clock in several units, that nearest to 0 first.
+
+    What increases, and counts no rows, is the clock if nothing else does, or all of it is.
+    """
+    known = clock_among(columns)
+    rising = [
+        k for k, cells in enumerate(columns)
+        if len(steps := _steps(cells)) >= LEAST_STEPS and _rises(cells, RISES)
+        and not all(step == 1 for step in steps)
+    ]  # fmt: skip
+    first = rising[0] if known is None and rising else known
+    if first is None:
+        return []
+    same = [k for k in rising if k == first or _is_same_clock(columns[first], columns[k])]
+    if known is None and same != rising:
+        return []
+    return sorted(same or [first], key=lambda k: _age(columns[k]))
+
+
+def _is_same_clock(one, other):
+    """Whether two columns go up together, in two units of time."""
+    slope = slope_on_clock(*(np.array(_numbers(cells)) for cells in (one, other)))
+    off = [abs(abs(math.log(slope)) - size) for size in _UNITS_OF_TIME] if slope else [1.0]
+    return min(off) < _SAME_UNIT
+
+
+def _age(cells):
+    """How far the first value of a clock is from 0, in what it goes up."""
+    first, last = _ends(cells)
+    return abs(first) / max(abs(last - first), sys.float_info.min)
 
 
 def _rises(cells, part):
@@ -262,19 +303,14 @@ def _remedy_of_numbers(cells, lines, delimiter):
             "there are in a second: --columns x=1 --fps 25 (of speeds vx=1, of accelerations ax=1)"
         )
     remedy = "add a header such as t,x,y, or say which column is which by its number: "
-    rows = [split_line(line, delimiter) for line in lines if line.strip()]
-    columns = list(zip(*(row for row in rows if _is_of_numbers(row, len(cells))), strict=True))
-    clock = clock_among(columns)
-    if columns and are_within(*_numbers([columns[0][0], columns[0][-1]]), (JULIAN,)):
+    columns = _columns_of(lines, delimiter, cells)
+    clocks = clocks_among(list(columns.values()))
+    if columns and are_within(*_ends(next(iter(columns.values()))), (JULIAN,)):
         by_number = ("--columns t=1 x=2 sx=3, or t=1 rv=2 srv=3 of velocities along the line of "
                      "sight (the third being their errors)")  # fmt: skip
-    elif clock is not None:
-        moving = [k for k, own in enumerate(columns) if k != clock and {*_steps(own)} - {0.0, 1.0}]
-        x = moving[0] if moving else 1 - min(clock, 1)
-        pushes = " ".join(f"a{axis}={k + 1}" for axis, k in zip("xyz", moving, strict=False))
-        by_number = (f"--columns t={clock + 1} x={x + 1} (column {clock + 1} increases from row to "
-                     f"row; y=, z= of further axes; t={clock + 1} {pushes} of accelerations)")
-    elif columns and not any(_rises(own, ANY_RISE) for own in columns):
+    elif clocks:
+        by_number = _by_clock(columns, [list(columns)[k] for k in clocks])
+    elif columns and not any(_rises(own, ANY_RISE) for own in columns.values()):
         by_number = "--columns x=1 y=2 --fps 25 (no column increases from row to row: if every row "
         by_number += "is a frame, that says how many are in a second)"
     else:
@@ -285,9 +321,37 @@ def _remedy_of_numbers(cells, lines, delimiter):
     return remedy + by_number
 
 
-def _is_of_numbers(row, count):
-    """Whether a row has so many cells, all of them numbers or empty."""
-    return len(row) == count and all(_is_number(cell or "0") for cell in row)
+def _by_clock(columns, clocks):
+    """How columns are said by their numbers beside one clock, which may be there in several units.
+
+    Parameters
+    ----------
+    columns : mapping of int to list of str
+        Number of a column, from 1 -> its cells.
+    clocks : list of int
+        Numbers of those that are the clock.
+    """
+    moving = [k for k, own in columns.items() if k not in clocks and {*_steps(own)} - {0.0, 1.0}]
+    clock = clocks[0]
+    x = moving[0] if moving else next(k for k in (2, 1) if k != clock)
+    pushes = " ".join(f"a{axis}={k}" for axis, k in zip("xyz", moving, strict=False))
+    again = "".join(f"; column {k} is the same clock" for k in clocks[1:])
+    return (f"--columns t={clock} x={x} (column {clock} increases from row to row{again}; y=, z= "
+            f"of further axes; t={clock} {pushes} of accelerations)")  # fmt: skip
+
+
+def _columns_of(lines, delimiter, cells):
+    """Columns of numbers, or empty cells, by their numbers from 1, in rows as long as the first."""
+    rows = [split_line(line, delimiter) for line in lines if line.strip()]
+    columns = zip(*(row for row in rows if len(row) == len(cells)), strict=True)
+    return {
+        k: own for k, own in enumerate(columns, 1) if all(_is_number(cell or "0") for cell in own)
+    }  # fmt: skip
+
+
+def _ends(cells):
+    numbers = _numbers(cells)
+    return numbers[0], numbers[-1]
 
 
 def _are_places(cells):

@@ -380,6 +380,11 @@ def _at_rest(values):
     return spans, still.mean(axis=0) if len(still) else np.zeros(values.shape[1])
 
 
+def has_swing(values):
+    """Whether values (n, d) of rows that are about even in time are those of what swings."""
+    return _swing(np.arange(float(len(values))), values) > 0
+
+
 def _swing(times, values):
     """Angular rate of the strongest wave of values (n, d), 1/s; 0.0 where it is no swing's."""
     even = np.linspace(times[0], times[-1], len(times))

@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.apart import recordings_apart
+from bsp_gp.data.apart import below_each_other, recordings_apart
 from bsp_gp.data.assembly import (
     along_named_axis,
     axes_of,
@@ -44,6 +44,7 @@ from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.properties import LEFT_OUT, read_properties, with_properties
 from bsp_gp.data.property_columns import quoted, unread_masses, with_properties_by_words
 from bsp_gp.data.rates import from_rates
+from bsp_gp.data.records import told_of_record
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, Dataset, Entity
 from bsp_gp.data.several import joined, tables_of
@@ -155,8 +156,16 @@ def _matching(path):
     return found or [path]
 
 
-def _loaded(path, *, units, columns, fps, dt, properties, sky, uses=(), train=None, test=None):
+def _loaded(path, **reading):
     """One file or folder, without what is said of properties beside it."""
+    try:
+        return _read(path, **reading)
+    except DataError as error:
+        raise told_of_record(error, path) from None
+
+
+def _read(path, *, units, columns, fps, dt, properties, sky, uses=(), train=None, test=None):
+    """One file or folder; errors speak of lines of the table that is made of it."""
     if path.is_dir():
         path = _data_of_recording(path)
         trajectories = path / TRAJECTORIES
@@ -325,6 +334,7 @@ def _roster_of(entities):
 def _assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
     if roster is None:
+        table = below_each_other(table)
         table = with_properties_by_words(table, declaration.units)
         roster, table = roster_within(table, declaration.units)
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
@@ -503,7 +513,8 @@ def _left_out_bodies(table, inputs):
 def _with_their_names(table, declaration):
     """The declaration with units under our names that are declared under those of the file."""
     used = [(name, theirs) for name, theirs in table.theirs.items() if name in table.frame]
-    ours = {re.sub(r"\s*[\[(].*", "", theirs).strip(): name for name, theirs in used}
+    ours = {theirs: name for name, theirs in (*table.unused.items(), *used)}
+    ours |= {re.sub(r"\s*[\[(].*", "", theirs).strip(): name for name, theirs in used}
     taken = {*table.frame.columns, *KINDS}
     ours = ours if "t" in taken or "time" in declaration.units else {**ours, "t": "time"}
     return dataclasses.replace(declaration, units={
@@ -585,9 +596,10 @@ def _with_angles(table, declaration):
     theirs = table.theirs.get("x", "")
     known = {*declaration.units, *table.units}
     if not own and is_angle_name(theirs) and not known & {"x", "length"}:
+        clock = "" if known & {"t", "time"} else " t=s"
         raise DataError(
             f"{theirs!r} is an angle in an unknown unit", file=table.file, column=theirs,
-            remedy=f"declare it: --units {theirs}=rad t=s, or {theirs}=deg",
+            remedy=f"declare it: --units {quoted(theirs)}=rad{clock}, or {quoted(theirs)}=deg",
         )  # fmt: skip
     if not own or "x" not in table.frame:
         return declaration

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from bsp_gp.data.conversion import size_of
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.notes import listed
 from bsp_gp.errors import DataError
@@ -11,7 +12,7 @@ from bsp_gp.inference.priors import prior_of
 from bsp_gp.loop.told import Told
 from bsp_gp.report.drawing import new_figure, panels_of, tidy
 from bsp_gp.report.numbers import format_number, with_unit
-from bsp_gp.units import Unit
+from bsp_gp.units import DIMENSIONLESS, Unit
 
 MAX_PANELS = 6
 FAR = 2.0
@@ -26,7 +27,7 @@ def data_text(dataset):
     Returns
     -------
     str
-        Columns, units, scenes, bodies, axes, noise and notes, a line each.
+        Columns, units, scenes, bodies, inputs, axes, noise and notes, a line each.
     """
     names = list(dict.fromkeys(name for scene in dataset.scenes for name in scene.names))
     n_rows = sum(len(scene.times) for scene in dataset.scenes)
@@ -38,7 +39,7 @@ def data_text(dataset):
     lines += [f"Columns: {columns}"] if columns else []
     lines += [_units(dataset), *_scenes(dataset), f"Bodies: {listed(names, _MAX_NAMES)}"]
     if not dataset.is_of_sight:
-        lines += [*_properties(dataset), *_first(dataset), _up(dataset)]
+        lines += [*_properties(dataset), *_inputs(dataset), *_first(dataset), _up(dataset)]
     lines += _motion(dataset)
     lines += [f"Note: {note}" for note in dataset.notes]
     return "\n".join(lines)
@@ -125,6 +126,22 @@ def _properties(dataset):
         none = "Properties: none (no masses): every body is taken as 1 kg"
     none += "; masses are given with --property mass=0.3[kg]"
     return [none, *unknown]
+
+
+def _inputs(dataset):
+    """Measured inputs of laws, with their units and between what they are."""
+    out = []
+    for name in dict.fromkeys(name for scene in dataset.scenes for name in scene.inputs):
+        values = [s.inputs[name].ravel() for s in dataset.scenes if name in s.inputs]
+        values = np.concatenate(values)
+        declared = dataset.units.declared
+        unit = declared.get(name, declared.get(f"{name}_x", ""))
+        factor = 1 / size_of(unit) if unit else 1.0
+        if not unit:
+            factor, unit = _told(dataset, dataset.property_units.get(name, DIMENSIONLESS))
+        low, high = (format_number(factor * float(f(values)), 4) for f in (np.nanmin, np.nanmax))
+        out.append(f"Input {name}: measured, from {low} to {with_unit(high, unit)}")
+    return out
 
 
 def _of(names):

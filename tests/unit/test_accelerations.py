@@ -124,6 +124,21 @@ def test_the_axis_along_which_all_moves_is_taken(tmp_path, rng, names):
     assert np.abs(gained - (a - ZERO)).max() < SIGMA
 
 
+def test_a_cart_that_rattles_does_not_move_along_what_shakes_it(tmp_path, rng):
+    """It rolls along y, faster and faster and then slower, and is shaken up and down."""
+    t = np.arange(500) * 0.01
+    roll = np.where(t < 3, 1.0, -1.5) + 0.1 * rng.normal(size=500)
+    columns = (0.1 * rng.normal(size=500), roll, 8.0 * rng.normal(size=500))
+    names = [f"Linear Acceleration {axis} (m/s^2)" for axis in "xyz"]
+    frame = pd.DataFrame({"Time (s)": t, **dict(zip(names, columns, strict=True))})
+    data = Dataset.from_frames(frame)
+    assert data.n_dims == 3
+    assert np.argmax(np.ptp(data.scenes[0].positions[:, 0], axis=0)) == 1
+    assert any("all axes are kept" in note for note in data.notes)
+    data = Dataset.from_frames(frame, columns={"ax": names[1]})
+    assert data.n_dims == 2 and not any("all axes are kept" in note for note in data.notes)
+
+
 def test_several_that_swing_are_axes(tmp_path, rng):
     t, a = swinging(rng)
     other = np.roll(a, 40)
@@ -251,3 +266,14 @@ def test_columns_of_accelerations_without_a_header_are_named_by_their_numbers(tm
         load_dataset(path)
     data = load_dataset(path, columns={"t": "2", "ax": "3", "ay": "4", "az": "5"})
     assert data.velocity == "unseen" and any("gravity" in note for note in data.notes)
+
+
+def test_an_acceleration_in_a_unit_of_velocities_is_asked_for(rng):
+    t, a = swinging(rng)
+    frame = pd.DataFrame({"t (s)": t, "Accel(m/s)": a})
+    with pytest.raises(DataError, match="speaks of an acceleration, and m/s is a unit of velo"):
+        Dataset.from_frames(frame)
+    for unit, kind in (("m/s^2", "unseen"), ("m/s", "only")):
+        assert Dataset.from_frames(frame, units={"Accel": unit}).velocity == kind
+    of_sums = frame.set_axis(["t (s)", "Speed by accelerometer (m/s)"], axis=1)
+    assert Dataset.from_frames(of_sums).velocity == "only"

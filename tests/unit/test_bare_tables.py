@@ -262,3 +262,30 @@ def test_check_says_how_a_bare_file_was_read(tmp_path, capsys, monkeypatch):
     assert main(["check", str(wide(tmp_path))]) == 2
     told = capsys.readouterr()
     assert "x = 'X1'" in told.out and "if every row is a frame, --fps 25" in told.err
+
+
+def test_a_clock_in_two_units_is_suggested_once_and_taken_for_no_axis(tmp_path):
+    """Nanoseconds since 1970 beside seconds from the start, and what a sensor shows."""
+    seconds = [round(0.03 + 0.01 * k, 5) for k in range(60)]
+    since = [1_620_421_562_000_000_000 + round(1e9 * t) for t in seconds]
+    axes = [np.cos(np.arange(60) / 5 + k).round(5).tolist() for k in range(3)]
+    path = table(tmp_path, *rows(since, seconds, *axes))
+    with pytest.raises(DataError) as error:
+        bsp_gp.load_dataset(path)
+    assert "column 1 is the same clock" in str(error.value)
+    assert "t=2 ax=3 ay=4 az=5" in str(error.value)
+    data = bsp_gp.load_dataset(path, columns={"t": "2", "ax": "3", "ay": "4", "az": "5"})
+    assert not any("is a clock" in note for note in data.notes)
+    data = bsp_gp.load_dataset(path, columns={"t": "1", "ax": "2", "ay": "3", "az": "4"})
+    assert any("'2' increases with the time" in note for note in data.notes)
+    short = table(tmp_path, *rows(since, seconds, *axes[:1]))
+    with pytest.raises(DataError, match="same clock"):  # the second is no place
+        bsp_gp.load_dataset(short)
+
+
+def test_what_counts_rows_is_not_suggested_beside_a_clock_that_is_uneven(tmp_path):
+    times = np.cumsum([2, 6, 3, 9, 4] * 8).tolist()
+    axes = [np.cos(np.arange(40) / 5 + k).round(5).tolist() for k in range(3)]
+    path = table(tmp_path, *rows(range(1, 41), times, *axes, ["ramp"] * 40))
+    with pytest.raises(DataError, match="t=2 ax=3 ay=4 az=5"):
+        bsp_gp.load_dataset(path)

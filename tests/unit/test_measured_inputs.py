@@ -7,12 +7,14 @@ from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.cli import main
+from bsp_gp.data.tables import load_dataset
 from bsp_gp.errors import DataError
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_latex
 from bsp_gp.report.page import page_of
+from bsp_gp.report.recording import data_text
 from bsp_gp.units import Unit
 
 MASS, DRAG = 0.5, 0.3
@@ -208,3 +210,16 @@ def test_the_name_of_an_input_is_set_upright_and_whole():
     types = STATE_INPUTS | {"heading_deg": Type("scalar", Unit.of())}
     formula = parse_formula("cos(heading_deg) * e_x", types)
     assert r"\mathrm{heading\ deg}" in to_latex(formula)
+
+
+def test_an_input_may_be_called_as_the_file_calls_it_and_is_told(tmp_path):
+    rows = "".join(f"{k / 10},{np.cos(k / 10):.4f},{k % 7},{k}\n" for k in range(40))
+    path = tmp_path / "pushed.csv"
+    path.write_text(f"t (s),x (m),Force (N),volts\n{rows}")
+    for name in ("Force", "Force (N)"):
+        data = load_dataset(path, units={name: "kN", "x (m)": "cm", "volts": "V"})
+        (scene,) = data.scenes
+        assert scene.inputs["Force"].max() == 6000 and scene.positions.max() == 0.01
+        assert "Input Force: measured, from 0 to 6.000 kN" in data_text(data)
+        assert "Input volts: measured, from 0 to 39.00 V" in data_text(data)
+    assert "Input" not in data_text(load_dataset(path))

@@ -264,3 +264,25 @@ def test_numbers_with_as_many_digits_each_are_as_coarse_as_the_large_ones(scale)
     found = estimate_noise([Scene("a", times, np.stack([plain, 0 * x], axis=1)[:, None],
                                   (Entity("bob"),))])  # fmt: skip
     assert found.sigma[0] < 4e-7
+
+
+def test_a_grid_of_its_own_counts_whatever_that_of_the_other_axis_is():
+    """Numbers in few digits beside ones in few decimals, most of which repeat the row before."""
+    times = np.arange(400) * 0.04
+    fine = np.array([float(f"{v:.4g}") for v in 0.14 * np.exp(-0.2 * times) * np.cos(3 * times)])
+    coarse = np.round(0.33 + 0.006 * np.cos(0.7 * times), 3)
+    assert np.mean(np.diff(coarse) == 0) > 0.5
+    for places in ((fine, coarse), (coarse, fine)):
+        scene = Scene("s", times, np.stack(places, axis=1)[:, None], (BALL,))
+        found = dict(zip(places[0][:1].tolist() + places[1][:1].tolist(),
+                         estimate_noise([scene]).sigma, strict=True))  # fmt: skip
+        assert found[coarse[0]] == pytest.approx(1e-3 / math.sqrt(12), rel=1e-6)
+
+
+def test_an_axis_that_hardly_ever_moves_is_not_exact_for_it():
+    """What moves in one row of fifty is clipped, and nothing would be left but zeros."""
+    rng = np.random.default_rng(5)
+    levels = np.repeat(rng.normal(size=8), 50)
+    found = estimate_noise([Scene("s", np.arange(400.0), levels[:, None, None] * [1.0, 0.0],
+                                  (BALL,))])  # fmt: skip
+    assert found.sigma[0] > 1e-6 * np.ptp(levels)

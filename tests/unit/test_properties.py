@@ -173,7 +173,7 @@ def test_columns_are_called_as_laws_call_them(tmp_path):
 
 def test_who_says_which_column_is_one_coordinate_has_said_all(tmp_path):
     t = 0.1 * np.arange(6)
-    pd.DataFrame({"ms": 1000 * t, "alt": t**2, "vbat": 8000 - t}).to_csv(
+    pd.DataFrame({"ms": 1000 * t, "alt": t**2, "aux": 8000 - t}).to_csv(
         tmp_path / "flight.csv", index=False
     )
     columns, units = {"t": "ms", "y": "alt"}, {"length": "m", "time": "ms"}
@@ -181,7 +181,7 @@ def test_who_says_which_column_is_one_coordinate_has_said_all(tmp_path):
     assert any("motion along y" in note for note in data.notes)
     frame = pd.read_csv(tmp_path / "flight.csv").rename(columns={"ms": "t", "alt": "y"})
     frame.to_csv(tmp_path / "flight.csv", index=False)
-    with pytest.raises(DataError, match="vbat"):
+    with pytest.raises(DataError, match="aux"):
         bsp_gp.load_dataset(tmp_path / "flight.csv", units=units)
 
 

@@ -257,3 +257,20 @@ def test_what_is_shaken_for_a_while_is_no_error_and_a_lone_value_is(rng):
 
 def read(t, v):
     return Dataset.from_frames(pd.DataFrame({"t (s)": t, "v (m/s)": v}))
+
+
+@pytest.mark.parametrize("heading", ["RPM", "motor_rpm", "Speed (rpm)", "Drehzahl (U/min)"])
+def test_turns_a_minute_are_rates_at_which_something_turns(heading):
+    t = np.arange(60) * 0.1
+    data = Dataset.from_frames(pd.DataFrame({"t (s)": t, heading: np.full(60, 30.0) + t}))
+    assert data.units.is_angle and data.velocity == "only"
+    way = np.ptp(data.scenes[0].positions)
+    assert way == pytest.approx(2 * np.pi * (30 + t.mean()) / 60 * 6, rel=1e-6)
+    beside = pd.DataFrame({"t (s)": t, "x (m)": np.cos(t), heading: 30.0 + t})
+    assert Dataset.from_frames(beside).velocity == "ignore"
+
+
+def test_counts_a_minute_are_no_turns():
+    t = np.arange(60) * 0.1
+    with pytest.raises(DataError, match="no column 'x'"):
+        Dataset.from_frames(pd.DataFrame({"t (s)": t, "counts (1/min)": np.cos(t)}))

@@ -51,3 +51,14 @@ def test_other_json_is_refused_with_a_remedy(text, said):
     with pytest.raises(DataError, match=said) as error:
         as_table(text, "a.json")
     assert "one record a row" in str(error.value)
+
+
+@pytest.mark.parametrize("indent", [None, 1, "lines"])
+def test_errors_name_the_record_and_no_line_of_what_was_made_of_it(indent, tmp_path):
+    records = [dict(each) for each in RECORDS]
+    records[3]["x"] = "much"
+    path = tmp_path / ("a.jsonl" if indent == "lines" else "a.json")
+    text = "\n".join(map(json.dumps, records)) if indent == "lines" else None
+    path.write_text(text or json.dumps(records, indent=indent), encoding="utf-8")
+    with pytest.raises(DataError, match="record 4, column x: expected a number, got 'much'"):
+        load_dataset(path)

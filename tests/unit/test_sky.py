@@ -110,3 +110,29 @@ def test_how_far_it_is_may_be_said_beside_a_file(tmp_path):
         load_dataset(table, sky={"far": "10 pc"})
     with pytest.raises(DataError, match="a number and its unit"):
         load_dataset(table, sky={"distance": "pc"})
+
+
+def _rising(path, heading, scale, unit=""):
+    """A table of a planet in places like those of an almanac, its right ascension so many of h."""
+    hours = np.linspace(17.6, 18.0, 30)
+    rows = [(k, scale * h, -23.1 - k / 400) for k, h in enumerate(hours)]
+    table = "\n".join(",".join(map(str, row)) for row in rows)
+    path.write_text(f"t,{heading},dec\n{table}\n")
+    data = load_dataset(path, units={"time": "d", **({"ra": unit} if unit else {})})
+    way = np.ptp(data.scenes[0].positions[:, 0, 0]) / 3600
+    return way, any("between 0 and 24" in note for note in data.notes)
+
+
+def test_right_ascensions_within_a_day_may_be_hours_and_that_is_told(tmp_path):
+    degrees = 0.4 * np.cos(np.radians(23.1))
+    way, is_told = _rising(tmp_path / "a.csv", "ra", 1)
+    assert is_told and way == pytest.approx(degrees, rel=0.01)
+    for heading in ("ra (h)", "RA_hours", "Right Ascension (hr)", "RA [hours]"):
+        way, is_told = _rising(tmp_path / "b.csv", heading, 1)
+        assert not is_told and way == pytest.approx(15 * degrees, rel=0.02)
+    for heading in ("RA (degrees)", "ra_deg"):
+        assert not _rising(tmp_path / "c.csv", heading, 1)[1]
+    assert not _rising(tmp_path / "d.csv", "ra", 15)[1]
+    for unit, times in (("h", 15), ("deg", 1)):
+        way, is_told = _rising(tmp_path / "e.csv", "ra", 1, unit)
+        assert not is_told and way == pytest.approx(times * degrees, rel=0.02)

@@ -52,6 +52,23 @@ def test_rows_that_lack_cells_of_columns_that_are_not_used_are_read(tmp_path):
         load_dataset(written(tmp_path, cut))
 
 
+def test_rows_that_have_all_that_is_used_may_lack_the_rest(tmp_path):
+    """Several that end so were written so; one alone may have been cut within its last number."""
+    header = "t,x,y,remark"
+    lines = [header, f"{T[0]},{X[0]},0.5,7", *rows(T[1:], X[1:], X[1:])]
+    data = load_dataset(written(tmp_path, lines))
+    assert len(data.scenes[0].times) == 30
+    assert any("lack cells at their ends" in note and ": 29," in note for note in data.notes)
+    whole = rows(T, X, X, T)
+    alone = [header, *whole[:-1], whole[-1].rsplit(",", 1)[0]]
+    with pytest.raises(DataError, match="it lacks remark; .*leaves it out"):
+        load_dataset(written(tmp_path, alone))
+    data = load_dataset(written(tmp_path, alone), columns={"remark": "ignore"})
+    assert len(data.scenes[0].times) == 30
+    with pytest.raises(DataError, match="line 3: this row has 2 cells.*it lacks y, remark"):
+        load_dataset(written(tmp_path, [header, *whole[:1], "0.1,0.5", *whole[2:]]))
+
+
 def test_a_lone_z_is_a_height(tmp_path):
     data = load_dataset(written(tmp_path, ["time (s),z (m),v (m/s)", *rows(T, X, T)]))
     assert data.up == "y"
@@ -186,3 +203,73 @@ def test_dates_of_our_era_are_dates(tmp_path):
     data = load_dataset(written(tmp_path, ["Date,X_AU,Y_AU", *rows(days, X, X**2)]))
     np.testing.assert_allclose(data.scenes[0].times, 86400 * np.arange(30))
     assert any("since 2025-07-01" in note for note in data.notes)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Tempo_ms,Angulo_Real_graus,Alvo_graus", "tiempo_ms,angulo_medido_grados,x_ref",
+        "temps_ms,angle_degres,consigne", "zeit_ms,winkel_ist_grad,soll", "t_ms,theta_top_deg,ref",
+    ],
+)  # fmt: skip
+def test_the_end_of_the_name_of_an_angle_is_its_unit(tmp_path, header):
+    """Whatever words are between, in any language; and so it is of the clock."""
+    path = written(tmp_path, [header, *rows(T * 1000, 40 * X, 0 * X)])
+    angle = header.split(",")[1]
+    for units in ({}, {angle: "deg"}, {angle: "deg", "t": "ms"}):
+        data = load_dataset(path, units=units)
+        assert data.units.is_angle
+        np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], np.radians(40 * X))
+        np.testing.assert_allclose(data.scenes[0].times, T)
+    data = load_dataset(path, units={angle: "rad"})
+    np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], 40 * X)
+
+
+def test_what_is_asked_of_an_angle_says_no_unit_of_a_clock_that_has_one(tmp_path):
+    path = written(tmp_path, ["Tempo_ms,Angulo_Real,Alvo", *rows(T * 1000, X, 0 * X)])
+    with pytest.raises(DataError, match="unknown unit") as error:
+        load_dataset(path)
+    assert '"t"' not in str(error.value) and '{"Angulo_Real": "rad"}' in str(error.value)
+    assert load_dataset(path, units={"Angulo_Real": "deg"}).units.is_angle
+    path = written(tmp_path, ["Tempo,Angulo_Real", *rows(T, X)])
+    with pytest.raises(DataError, match='"t": "s"'):
+        load_dataset(path)
+
+
+def test_recordings_below_a_clock_that_begins_anew_are_scenes(tmp_path):
+    """Each begins where the first did, if not at the same instant, and has rows of its own."""
+    runs = [(T, X), (0.1 + T[:12], X[5:17]), (T[:9], -X[:9])]
+    lines = [line for t, x in runs for line in rows(t, x, x)]
+    data = load_dataset(written(tmp_path, ["t (s),x (m),y (m)", *lines]))
+    assert [scene.name for scene in data.scenes] == ["part 1", "part 2", "part 3"]
+    for scene, (t, x) in zip(data.scenes, runs, strict=True):
+        np.testing.assert_allclose(scene.times, t)
+        np.testing.assert_allclose(scene.positions[:, 0, 0], x)
+    assert any("begins anew in line 32, 44" in note for note in data.notes)
+    speeds = [line for t, x in runs[:2] for line in rows(t, x)]
+    data = load_dataset(written(tmp_path, ["t (s),vx (m/s)", *speeds]))
+    assert len(data.scenes) == 2
+
+
+@pytest.mark.parametrize(
+    "second",
+    [T[:6], T[:12] + 0.9, np.append(T[:12], T[3:12]), np.append(T[:12], T[11])],
+    ids=["few rows", "begins elsewhere", "goes back", "stands still"],
+)
+def test_what_goes_back_otherwise_is_asked_for(tmp_path, second):
+    lines = [*rows(T, X, X), *rows(second, *[X[: len(second)]] * 2)]
+    with pytest.raises(DataError, match="must increase|two rows at t"):
+        load_dataset(written(tmp_path, ["t,x,y", *lines]))
+
+
+@pytest.mark.parametrize(
+    "beside", ["Pres", "press", "P(hPa)", "P_hPa", "baro", "hum", "RH", "RH%", "temp1", "T (C)"]
+)
+def test_short_words_of_what_is_logged_beside_a_motion_are_no_places(tmp_path, beside):
+    path = written(tmp_path, [f"Time,{beside},Alt", *rows(T, 900 + X, X)])
+    data = load_dataset(path)
+    np.testing.assert_allclose(data.scenes[0].times, T)
+    np.testing.assert_allclose(data.scenes[0].positions[:, 0, 1], X)
+    other = written(tmp_path, ["Time,depressed,Alt", *rows(T, 900 + X, X)])
+    with pytest.raises(DataError, match="no column 'x'"):
+        load_dataset(other)
