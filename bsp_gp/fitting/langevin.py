@@ -102,7 +102,7 @@ class Langevin:
         return self.log_likelihood - COST * len(self.terms) + own
 
 
-def models_of(tracks, noise=None, near=0.0):
+def models_of(tracks, noise=None, near=0.0, tick=None):
     """All models of kicks and linear forces, the likeliest first.
 
     Parameters
@@ -113,9 +113,11 @@ def models_of(tracks, noise=None, near=0.0):
         Known error of a place, m.
     near : float, nats
         Of models that are so near to the likeliest it is asked how oddly their forecasts err.
+    tick : callable, optional
+        Asked at every look; raises where the time is up.
     """
     with np.errstate(all="ignore"):  # numbers that no rate carries are refused
-        return _models_of(_Problem(tracks, noise), near)
+        return _models_of(_Problem(tracks, noise, tick), near)
 
 
 def _models_of(problem, near):
@@ -147,7 +149,8 @@ def _models_of(problem, near):
 class _Problem:
     """Tracks in units of their own rows and steps."""
 
-    def __init__(self, tracks, noise):
+    def __init__(self, tracks, noise, tick=None):
+        self.tick = tick
         steps = np.concatenate([np.diff(t.times) for t in tracks])
         self.step = float(np.median(steps))
         moved = np.concatenate([np.diff(t.places, axis=0).ravel() for t in tracks])
@@ -255,6 +258,8 @@ class _Problem:
 
         Offsets are places of a trap, per track and axis, or pushes, per axis.
         """
+        if self.tick is not None:
+            self.tick()
         values = {name: float(np.exp(v)) for name, v in at.items()}
         noise = self.noise or values["noise"]
         model = _Model(

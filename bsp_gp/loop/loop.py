@@ -70,8 +70,8 @@ MOST_UNKEPT = 3
 """Fits of a family that are no likelier than the law as it is, though they promised to be, or, of
 what is no law, that lead nowhere, after which no more of it are made: what its promises are made of
 is noise of another kind."""
-PROPOSING = 0.3
-"""Part of the time that is left which one proposer may take."""
+PROPOSERS, PROPOSING = 0.5, 0.6
+"""Part of the time that all proposers may take, and each of what is left of that."""
 MOST_BETTER = 2
 """Laws that are fitted after one that leaves nothing, since they do better as far as that tells."""
 MOST_AGAIN = 3
@@ -414,23 +414,26 @@ class _Turn:
         others = [p for p in able if p not in here]
         # What begins with what another has told the view is asked here, and meanwhile the rest by
         # whoever is free.
-        shared = others, view, self.run.clock
+        clock = self.run.clock.share(PROPOSERS)
+        shared = others, view, clock
         parts = self.run.crew.work(_proposed, shared, list(range(len(others))))
         found = {}
         for proposer in (*here, *others):
-            if self.note_time("proposers"):
+            if clock.is_over:
+                self.note("proposers")
                 break
             k, n = self.run.proposers.index(proposer) + 1, len(self.run.proposers)
             if proposers is self.run.proposers:
                 self.run.says(f"round {number}: {proposer.name} ({k} of {n})")
             if proposer in here:
                 parts.begin()
-                found[k] = _proposed(([proposer], view, self.run.clock), 0)
+                found[k] = _proposed(([proposer], view, clock), 0)
             else:
                 found[k] = parts.result(others.index(proposer))
         parts.end()
         if any(family is None or family.is_partial for family in found.values()):
             self.note("proposers")
+        view.tick = self.run.clock.tick
         self.families += [family for _, family in sorted(found.items()) if family is not None]
 
     def _may_ask(self, proposer):

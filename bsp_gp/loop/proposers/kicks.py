@@ -72,9 +72,7 @@ class Kicks:
         tracks = _asked(view.dataset, view.fit)
         if not tracks:
             return Family(self.name)
-        if view.tick is not None:
-            view.tick()
-        best, models = _likeliest(tracks, view.fit, view.criteria)
+        best, models = _likeliest(tracks, view.fit, view.criteria, view.tick)
         n_tried = len(models)
         alone = next(m for m in models if not m.terms)
         gain = 2 * (best.log_likelihood - alone.log_likelihood)
@@ -99,10 +97,10 @@ class Kicks:
         return {"constants": proposal.constants} if isinstance(proposal, Kicked) else {}
 
 
-def is_kicked(dataset, fit, criteria):
+def is_kicked(dataset, fit, criteria, tick=None):
     """Whether random kicks beside linear forces say all of tracks of which nothing is declared."""
     tracks = _asked(dataset, fit)
-    return bool(tracks) and _are_told(_likeliest(tracks, fit, criteria)[0], criteria)
+    return bool(tracks) and _are_told(_likeliest(tracks, fit, criteria, tick)[0], criteria)
 
 
 def _asked(dataset, fit):
@@ -117,18 +115,18 @@ def _asked(dataset, fit):
     return tracks if is_long else []
 
 
-def _likeliest(tracks, fit, criteria):
+def _likeliest(tracks, fit, criteria, tick=None):
     """The likeliest model whose forecasts err no more oddly than noise does, and all models."""
     free = fit.noise.is_free.any()
     noise = None if free else float(np.sqrt(np.nanmean(np.square(fit.noise.levels))))
     # What is so odd on a piece that no kicks are told stays so on the whole, which takes long.
     pieces = [Track(t.times[:PIECE], t.places[:PIECE]) for t in tracks]
     if sum(len(t.times) for t in tracks) > 2 * sum(len(t.times) for t in pieces):
-        models = models_of(pieces, noise, criteria.class_nats)
+        models = models_of(pieces, noise, criteria.class_nats, tick)
         near = [m for m in models if models[0].score - m.score <= criteria.class_nats]
         if "kicks" in models[0].terms and all(m.oddity < SURELY_ODD for m in near):
             return models[0], models
-    models = models_of(tracks, noise, criteria.class_nats)
+    models = models_of(tracks, noise, criteria.class_nats, tick)
     near = (m for m in models if models[0].score - m.score <= criteria.class_nats)
     return next((m for m in near if m.oddity >= criteria.alpha), models[0]), models
 

@@ -21,6 +21,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import NEW, Family, Proposal
 from bsp_gp.loop.proposers.periods import coordinate_of, wave_beside, waves_alone
 from bsp_gp.loop.proposers.priors import drives
+from bsp_gp.loop.view import MOST_WEIGHTS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.search.columns import orthonormal
@@ -144,14 +145,17 @@ class Placed:
             Parameter(name, low=low, high=high, prior=Prior("uniform", low, high))
             for name, (low, high) in zip(names, extents, strict=True)
         )
-        self.target = float(view.left @ view.left)
+        self.lesser, _ = view.lesser(MOST_WEIGHTS)  # by which the place is sought
 
     def library(self, at):
         """The terms about a place; None where none is left beside the law."""
         at = tuple(map(float, at))
-        here = {Constant(n): Number(x, self.unit) for n, x in zip(self.names, at, strict=True)}
-        found = library_of(self.view, self.rows, here)
+        found = library_of(self.view, self.rows, self._here(at))
         return found and replace(found, places=self.places, at=at)
+
+    def _here(self, at):
+        """Numbers in the place of the names of its coordinates."""
+        return {Constant(n): Number(x, self.unit) for n, x in zip(self.names, at, strict=True)}
 
     def best_on_line(self):
         """The library where all of it explains most, of a place that is one number."""
@@ -169,10 +173,13 @@ class Placed:
         return self.library((found.x,))
 
     def unexplained(self, at):
-        """What is left by all terms about a place."""
+        """What is left by all terms about a place, of so many chains as are looked at."""
+        if self.view.tick is not None:
+            self.view.tick()
         is_within = all(p.low <= x <= p.high for p, x in zip(self.places, at, strict=True))
-        known = self.library(at) if is_within else None
-        return left_by(self.view, known.columns) if known else self.target
+        known = library_of(self.lesser, self.rows, self._here(at)) if is_within else None
+        left = self.lesser.left
+        return left_by(self.lesser, known.columns) if known else float(left @ left)
 
 
 def settled(sum_):
