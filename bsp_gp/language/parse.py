@@ -3,7 +3,8 @@
 ``c1 * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)``; a number may carry its unit in
 brackets, ``9.81 [m/s^2]``; a name that is no input is a constant to fit, ``c[body]`` and
 ``c[scene]`` constants of which every receiver or scene has its own. ``x_i`` and ``vx_i`` are
-components of place and velocity; ``pi`` is the number.
+components of place and velocity; ``pi`` is the number. Where places are angles, ``sin(x_i)`` is
+the sine of one.
 """
 
 import ast
@@ -17,6 +18,7 @@ from bsp_gp.language.formula import Call, Constant, Input, Number
 from bsp_gp.language.impulse import impulse
 from bsp_gp.language.inputs import ALIASES, STATE_INPUTS, property_of
 from bsp_gp.language.operators import OPERATORS
+from bsp_gp.language.radian import OF_ANGLES, in_radians
 from bsp_gp.units import DIMENSIONLESS, parse_unit
 
 MAX_LENGTH = 2000
@@ -72,7 +74,8 @@ def parse_formula(text, types: Mapping, *, operators: Mapping | None = None, uni
         place = getattr(error, "offset", None)
         where = f" near position {place}" if place else ""
         raise LawError(f"law {_short(text)} cannot be read{where}: {_reason(error)}") from None
-    return _Builder(text, types, dict(operators or {}), numbers).build(tree)
+    is_angle = units is not None and units.is_angle
+    return _Builder(text, types, dict(operators or {}), numbers, is_angle).build(tree)
 
 
 def _short(text):
@@ -151,8 +154,8 @@ def _finite(value, digits, text):
 class _Builder:
     """Turns the whitelisted part of Python's syntax tree into a Formula."""
 
-    def __init__(self, text, types, operators, numbers):
-        self.text = text
+    def __init__(self, text, types, operators, numbers, is_angle=False):
+        self.text, self.is_angle = text, is_angle
         self.types = types
         self.operators = operators
         self.numbers = numbers
@@ -165,6 +168,9 @@ class _Builder:
         try:
             return Call(operator, *args)
         except UnitError as error:
+            if self.is_angle and operator in OF_ANGLES:
+                with contextlib.suppress(UnitError):
+                    return Call(operator, *map(in_radians, args))
             away = self.from_origin(args)
             if away is not None and operator != "add":
                 with contextlib.suppress(UnitError):

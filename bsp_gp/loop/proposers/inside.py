@@ -12,7 +12,8 @@ from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.hypothesis import Parameter
 from bsp_gp.fitting.parts.ranged import RangedForces
 from bsp_gp.inference.priors import Prior
-from bsp_gp.language.formula import Call, Constant, rename_constants
+from bsp_gp.language.formula import Call, Constant, rename_constants, substitute
+from bsp_gp.language.radian import RADIAN
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import TimeIsUp
 from bsp_gp.loop.proposal import Family, Proposal, with_term
@@ -48,7 +49,9 @@ SEPARATE = 0.02
 LINES = (PLACE, "h_", "H_")
 """How names of coordinates of a place begin."""
 SINES = tuple(f"sin(({axis}_i - h_{axis}) / D) * e_{axis}" for axis in "xy")
-"""What drives an angle back: a weight on an arm."""
+"""What drives an angle back: a weight on an arm. A radian is fitted, where that is not known."""
+OF_ANGLES = tuple(f"sin({axis}_i - h_{axis}) * e_{axis}" for axis in "xy")
+"""The same where it is."""
 
 
 def may_be_angle(dataset):
@@ -77,8 +80,12 @@ class Inside:
         self.grammar, self.common = laws.grammar, laws.common
         forms = read_forms(laws.grammar, dataset, laws.properties, laws.available)
         # A sine of a length is no force before it repeats, which `ripples` asks for.
-        texts = () if may_be_angle(dataset) else SINES
-        self.forms = [form for form in forms if to_text(form.term.formula) not in texts]
+        sines = [form for form in forms if to_text(form.term.formula) in SINES]
+        if not may_be_angle(dataset):
+            forms = [form for form in forms if form not in sines]
+        if dataset.units.is_angle:
+            forms = [*map(_of_angle, sines), *forms]
+        self.forms = forms
 
     def propose(self, view):
         """The family of all forms that explain more than laws without inner constants."""
@@ -148,6 +155,12 @@ class Inside:
             f"{len(scans)} forms with constants inside scored at {count} places on grids",
             n_tried=count, is_partial=is_partial,
         )  # fmt: skip
+
+
+def _of_angle(form):
+    """A sine of places that are angles, whose radian is known."""
+    formula = substitute(form.term.formula, {Constant("D"): RADIAN})
+    return replace(form, term=Term(formula, form.term.kind))
 
 
 def _sums(view, search, scan, shown, alone):
