@@ -112,9 +112,13 @@ def verdict_parts(report):
                       "of all that was tried.")  # fmt: skip
         return text[:1].upper() + text[1:] + ".", detail
     if report.verdict == "effective law" and adopted:
-        names = _joined(_counted(map(_either, adopted)))
+        # How rows were taken is no force that there might be.
+        forces = [r for r in adopted if r.effect.kind not in ("measurement", "noise")] or adopted
+        names = _joined(_counted(map(_either, forces)))
         text = f"On these tracks the motion is as if there were {names}."
-        return text, "It describes them; that it is the cause is not shown."
+        others = _findings(r for r in adopted if r not in forces)
+        detail = "It describes them; that it is the cause is not shown."
+        return text, f"{detail} {others[:1].upper()}{others[1:]}." if others else detail
     if report.verdict == "the noise is not as assumed":
         return "The noise of the measurement is not as it was assumed.", ""
     if report.verdict == "nothing missing":
@@ -123,6 +127,10 @@ def verdict_parts(report):
     if report.verdict == "seen, not adopted":
         seen = [r.effect.name for r in report.rounds if r.effect is not None]
         text = "The declared model leaves more than noise, but nothing was good enough to adopt."
+        if adopted:
+            names = _joined(_counted(map(_either, adopted)))
+            text = (f"The declared model leaves more than noise, and so does what was adopted "
+                    f"({names}); nothing more was good enough.")  # fmt: skip
         return text, f"The best, {seen[-1]}, was seen and not adopted." if seen else ""
     adopted = [r for r in adopted if r.verdict == "cannot tell"]
     if report.verdict == "cannot tell" and adopted:

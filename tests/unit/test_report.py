@@ -703,3 +703,20 @@ def test_what_numbers_of_an_axis_share_is_a_power_in_letters():
     axes = figure.axes[0]
     told = [axis.get_offset_text().get_text() for axis in (axes.xaxis, axes.yaxis)]
     assert told == ["+1.23456 × 10⁶", "× 10⁻⁷"]
+
+
+def test_what_was_adopted_before_nothing_more_was_is_named():
+    first = replace(sample.adopted().rounds[0], number=1)
+    last = replace(sample.seen_not_adopted().rounds[0], number=2)
+    report = replace(sample.seen_not_adopted(), rounds=(first, last))
+    said = verdict_sentence(page_of(report))
+    assert "so does what was adopted (drag, quadratic in speed); nothing more was" in said
+
+
+def test_how_rows_were_taken_is_no_force_that_there_might_be():
+    force = sample.adopted().rounds[0]
+    rows = replace(force, effect=replace(force.effect, kind="measurement", code="untrimmed"))
+    report = replace(sample.adopted(), rounds=(rows, force), verdict="effective law")
+    said = verdict_sentence(page_of(report))
+    assert "as if there were drag, quadratic in speed. It describes them" in said
+    assert "cause is not shown. " in said
