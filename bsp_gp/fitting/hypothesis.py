@@ -12,6 +12,7 @@ from bsp_gp.language.bare import bare_number, with_bare_unit
 from bsp_gp.language.formula import Call, Constant, Input, Number, substitute
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.language.radian import RADIAN
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import FRAMING, ForceLaw, Term, constant_units, tabled
 from bsp_gp.units import ACCELERATION, FORCE, Unit
@@ -389,9 +390,8 @@ def read_torque(text, types, units):
 
     What stands for a mass is the moment of inertia.
     """
-    radian = Number(1.0, Unit.of(m=1), "1 [rad]")
     units_of = {
-        Constant("radian"): radian, Constant("hertz"): Number(1.0, Unit.of(s=-1), "1 [1/s]")
+        Constant("radian"): RADIAN, Constant("hertz"): Number(1.0, Unit.of(s=-1), "1 [1/s]")
     }  # fmt: skip
     text = re.sub(r"\bsign\(([^()]*\bomega_[ij][^()]*)\)", r"sign((\1) / hertz)", text)
     text = re.sub(r"\btheta\b", "theta_i", re.sub(r"\bx_([ij])\b", r"theta_\1", text))
@@ -404,7 +404,7 @@ def read_torque(text, types, units):
     types = {**types, "origin": STATE_INPUTS["origin"]}
     formula = substitute(parse_formula(text, types, units=units), units_of)
     if formula.type.shape == "scalar":
-        formula = Call("mul", formula, Call("mul", radian, Input("e_x", types["e_x"])))
+        formula = Call("mul", formula, Call("mul", RADIAN, Input("e_x", types["e_x"])))
     return formula
 
 

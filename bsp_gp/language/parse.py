@@ -4,7 +4,7 @@
 brackets, ``9.81 [m/s^2]``; a name that is no input is a constant to fit, ``c[body]`` and
 ``c[scene]`` constants of which every receiver or scene has its own. ``x_i`` and ``vx_i`` are
 components of place and velocity; ``pi`` is the number. Where places are angles, ``sin(x_i)`` is
-the sine of one.
+that of one.
 """
 
 import ast

@@ -4,7 +4,6 @@ from bsp_gp.language.formula import Call, Constant, Input, Number, factors
 from bsp_gp.language.impulse import impulse_of
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS
-from bsp_gp.language.radian import OF_ANGLES, as_angle
 
 _INFIX = {
     "add": ("+", 1),
@@ -69,8 +68,7 @@ def _text(node, values, units):
         return "{}{}_{}".format(*component), _ATOM
     if brief := impulse_of(node):
         return f"impulse({_text(brief[0], values, units)[0]}, {brief[1]!r} [s])", _ATOM
-    args = map(as_angle, node.args) if node.operator in OF_ANGLES else node.args
-    parts = [_text(arg, values, units) for arg in args]
+    parts = [_text(arg, values, units) for arg in node.args]
     if node.operator in _INFIX:
         sign, level = _INFIX[node.operator]
         left = _wrap(parts[0], level)
@@ -169,8 +167,7 @@ def _latex(node, values, units, level):
         return _hat(_latex_input(node.args[0]))
     if node.operator == "norm" and _named_difference(node.args[0]):
         return _named_difference(node.args[0]).replace(r"\mathbf", "")
-    args = map(as_angle, node.args) if node.operator in OF_ANGLES else node.args
-    parts = [_latex(arg, values, units, 1) for arg in args]
+    parts = [_latex(arg, values, units, 1) for arg in node.args]
     return OPERATORS[node.operator].latex.format(*parts)
 
 

@@ -103,9 +103,9 @@ _WHOLE = (
      "spring along {0} that hardens or softens, quadratic in its stretch"),
     (r"^(?:\w+ \* )?abs\(([xyz])_i\)\^w\d* \* sign\(\1_i\) \* e_\1$",
      "force along {0}, to a fitted power of {0}"),
-    (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
-    (r"^sin\(([xyz])_i(?: - \w+)?\) \* e_\1$",
+    (r"^sin\(\(([xyz])_i - \w+\) / 1 \[rad\]\) \* e_\1$",
      "what drives an angle back as its sine (a weight on an arm, a pendulum)"),
+    (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
     (r"^(?:exp\(-|\().*\(([xyz])_i - \w+\).* \* \(\1_i - \w+\) \* e_\1$",
      "force along {0} about a place, gone a length away (a dip or a bump)"),
     (r"^(?:0\.5 \* )?\(1 [-+] sign\(([xyz])_i - \w+\)\)"
