@@ -13,6 +13,7 @@ _INFIX = {
     "div_guarded": ("/", 2),
 }
 _ATOM, _POWER, _NEGATIVE = 9, 4, 3
+_OPPOSITE = {"+": "-", "-": "+"}
 _GREEK = {"mu": r"\mu", "friction": r"\mu"}
 _LATEX_INPUTS = {
     "p_i": r"\mathbf{p}_i",
@@ -71,6 +72,8 @@ def _text(node, values, units):
     parts = [_text(arg, values, units) for arg in node.args]
     if node.operator in _INFIX:
         sign, level = _INFIX[node.operator]
+        if sign in _OPPOSITE and isinstance(node.args[1], Constant) and parts[1][0][0] == "-":
+            sign, parts[1] = _OPPOSITE[sign], (parts[1][0][1:], _ATOM)  # x - -2 is x + 2
         left = _wrap(parts[0], level)
         # The right side of an infix operator keeps its brackets, so that the tree survives.
         right = _wrap(parts[1], level + 1)

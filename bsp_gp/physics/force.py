@@ -58,7 +58,7 @@ def _drop_mass(formula):
 
 
 _ANGLES = tuple((re.compile(pattern), short) for pattern, short in (
-    (r"\(x_([ij]) - ([^()]+)\) / 1 \[rad\]", r"theta_\1 - \2"),
+    (r"\(x_([ij]) ([-+]) ([^()]+)\) / 1 \[rad\]", r"theta_\1 \2 \3"),
     (r"(?<!\w)\(\bx_([ij]) / 1 \[rad\]\)", r"theta_\1"),
     (r"\bx_([ij]) / 1 \[rad\]", r"theta_\1"),
     (r"(?<!\w)\(\bvx_([ij]) / 1 \[rad\]\)", r"omega_\1"),
