@@ -139,6 +139,7 @@ class _Descent:
             if whole.fall > self.negligible(here):
                 before, (here, radius, code) = here, self.descend(here, scale, radius)
                 creeps = before.chisqr - here.chisqr < _CREEPING * whole.fall
+                # Without local unknowns nothing is left to join: a valley is followed to its end.
                 n_crept = n_crept + 1 if creeps and len(here.linearised.rests) else 0
                 if n_crept >= _CREPT:
                     code = code or "stalled"

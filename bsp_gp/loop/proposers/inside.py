@@ -50,7 +50,7 @@ LINES = (PLACE, "h_", "H_")
 """How names of coordinates of a place begin."""
 SINES = tuple(f"sin(({axis}_i - h_{axis}) / D) * e_{axis}" for axis in "xy")
 """What drives an angle back: a weight on an arm. A radian is fitted, where that is not known."""
-OF_ANGLES = tuple(f"sin(({axis}_i - h_{axis}) / {RADIAN.text}) * e_{axis}" for axis in "xy")
+SINES_OF_ANGLES = tuple(f"sin(({axis}_i - h_{axis}) / {RADIAN.text}) * e_{axis}" for axis in "xy")
 """The same where it is."""
 
 

@@ -16,7 +16,7 @@ from bsp_gp.fitting.periodogram import longest, swing_of
 from bsp_gp.language.formula import Call, Constant, Input, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, with_term
-from bsp_gp.loop.proposers.inside import OF_ANGLES, SINES, form_at, inner_search, may_be_angle
+from bsp_gp.loop.proposers.inside import SINES, SINES_OF_ANGLES, form_at, inner_search, may_be_angle
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
 from bsp_gp.search.inner import PLACE
@@ -56,7 +56,7 @@ class Swings:
         self.grammar = inside.grammar
         known = {to_text(form.term.formula): form for form in inside.forms}
         self.forms = [known[text] for text in (SPRING, LONG) if text in known]
-        sines = (known[text] for text in (OF_ANGLES[0], SINES[0]) if text in known)
+        sines = (known[text] for text in (SINES_OF_ANGLES[0], SINES[0]) if text in known)
         self.of_angles = list(sines)[:1]
 
     def propose(self, view):
@@ -128,7 +128,7 @@ def _radian(dataset):
 
 
 def _is_sine(form):
-    return to_text(form.term.formula) in (OF_ANGLES[0], SINES[0])
+    return to_text(form.term.formula) in (SINES_OF_ANGLES[0], SINES[0])
 
 
 def _apart(view, search, form, rates):
