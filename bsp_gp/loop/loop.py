@@ -750,7 +750,8 @@ class _Turn:
         """
         found = max(self.found[m] for m in measures)
         far = (self.kept[m] - max(FAR_BEHIND, self.spare[m]) for m in measures)
-        if proposal.promise < max(far):
+        # Rows that are left out take along whatever is wrong with them, names that are swapped too.
+        if proposal.promise < max(far) and not _is_misread(proposal):
             return True
         if measures == {False} and proposal.gain > MOST_OF_ALL * self.missing:
             return False  # moments cannot promise more
@@ -1283,9 +1284,13 @@ def _order(proposal):
     Beside a law that is far off forces promise so much that tracks which only bear the wrong names
     would be behind a dozen of them.
     """
-    is_misread = proposal.kind == "measurement" and proposal.is_afresh
     is_series = bool(proposal.news)  # it can stand for any form: those of textbooks come first
-    return not proposal.is_first, not proposal.is_sole, not is_misread, is_series
+    return not proposal.is_first, not proposal.is_sole, not _is_misread(proposal), is_series
+
+
+def _is_misread(proposal):
+    """Whether it says that tracks bear wrong names or times, or are none in part."""
+    return proposal.kind == "measurement" and proposal.is_afresh
 
 
 def _evened(proposal, top):
