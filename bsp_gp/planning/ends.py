@@ -25,7 +25,7 @@ def at_the_ends(means, tried, rng, count=1):
     -------
     list of Experiment
         The closest pair first, then the widest, the longest and the shortest, the fastest and the
-        slowest body, and the least and greatest of every property and coordinate.
+        slowest body, and the least and greatest of every setting, property and coordinate.
     """
     drawn = [means.draw(rng) for _ in range(N_DRAWN)]
     known = [_respects(experiment) for experiment in tried]
@@ -51,6 +51,7 @@ def _respects(experiment):
     if gaps:
         out |= {"gap": min(gaps)}
     out |= {"time": -experiment.times[-1], "speed": max(speeds, default=0.0)}
+    out |= {f"setting {name}": value for name, value in experiment.settings.items()}
     for k in moving:
         body = experiment.bodies[k]
         out |= {f"{name} of {body.name}": value for name, value in body.properties.items()}

@@ -15,6 +15,16 @@ A file of means, TOML; all numbers are SI. ``"a..b"`` is a range, a list a choic
     rows = 10
     noise = 0.05
     at_once = 4
+
+Where an apparatus has settings, numbers of bodies may follow from them::
+
+    [settings]
+    speed = "0.5..3"
+    angle = "0..1.5"
+    [bodies.ball]
+    x = 0
+    vx = "speed * cos(angle)"
+    vy = "speed * sin(angle)"
 """
 
 import math
@@ -30,6 +40,7 @@ from bsp_gp.data.conversion import unit_of
 from bsp_gp.data.scene import Dataset, Entity, FirstState, Scene
 from bsp_gp.data.toml import TomlError, parse_toml
 from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.planning.settings import RESERVED, Following
 from bsp_gp.units import UnitSystem
 
 AXES = "xyz"
@@ -54,14 +65,19 @@ class Body:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Bodies and the times at which they are looked at, s; the first is the begin."""
+    """Bodies and the times at which they are looked at, s; the first is the begin.
+
+    ``settings`` are those of the apparatus, by name, if the means have any.
+    """
 
     bodies: tuple[Body, ...]
     times: tuple
+    settings: Mapping = field(default_factory=dict)
 
     def to_dict(self):
         """As `Apparatus` sends it."""
-        return {
+        settings = {"settings": dict(self.settings)} if self.settings else {}
+        return settings | {
             "entities": [
                 {
                     "name": b.name, "position": list(b.position), "velocity": list(b.velocity),
@@ -80,7 +96,7 @@ class Experiment:
                  not b.get("dynamic", True))
             for b in record["entities"]
         )  # fmt: skip
-        return cls(bodies, tuple(record["times"]))
+        return cls(bodies, tuple(record["times"]), dict(record.get("settings", {})))
 
     def scene(self, name, positions=None, errors=(0.0, 0.0), sigma=None):
         """The experiment as a scene.
@@ -123,7 +139,7 @@ class Means:
     ----------
     bodies : mapping of str to dict
         Per body what may be chosen of ``x, y, z, vx, vy, vz`` and of every property: a number, a
-        tuple of numbers (one of them), or `Range`.
+        tuple of numbers (one of them), `Range`, or `Following` where the settings decide.
     static : frozenset of str
         Bodies that are not moved.
     until : number, tuple or Range
@@ -138,6 +154,8 @@ class Means:
         With which bodies are put and set off; 0 = exact.
     units : mapping of str to str
         Of properties that are not known by name.
+    settings : mapping of str to number, tuple or Range
+        Of the apparatus, from which numbers of bodies may follow.
     """
 
     bodies: Mapping
@@ -150,6 +168,7 @@ class Means:
     position_error: float = 0.0
     velocity_error: float = 0.0
     units: Mapping = field(default_factory=dict)
+    settings: Mapping = field(default_factory=dict)
 
     @property
     def errors(self):
@@ -163,9 +182,9 @@ class Means:
 
     @property
     def n_choices(self):
-        """How many numbers of the bodies may be chosen."""
-        chosen = (value for body in self.bodies.values() for value in body.values())
-        return sum(not isinstance(value, float) for value in chosen)
+        """How many numbers of the bodies, and settings, may be chosen."""
+        chosen = (v for each in (self.settings, *self.bodies.values()) for v in each.values())
+        return sum(isinstance(value, (tuple, Range)) for value in chosen)
 
     @property
     def longest(self):
@@ -184,14 +203,15 @@ class Means:
             Of the time that is drawn.
         """
         axes, bodies = self.axes, []
+        settings = {name: _drawn(value, rng) for name, value in self.settings.items()}
         for name, chosen in self.bodies.items():
-            drawn = {key: _drawn(value, rng) for key, value in chosen.items()}
+            drawn = {key: _drawn(value, rng, settings) for key, value in chosen.items()}
             place = tuple(drawn.pop(a, 0.0) for a in axes)
             speed = tuple(drawn.pop(f"v{a}", 0.0) for a in axes)
             bodies.append(Body(name, place, speed, drawn, name in self.static))
         until = part * _drawn(self.until, rng)
         times = (0.0, *np.geomspace(FIRST * until, until, self.rows - 1).tolist())
-        return Experiment(tuple(bodies), times)
+        return Experiment(tuple(bodies), times, settings)
 
     def sigma(self, positions):
         """Standard deviations of coordinates that are seen, m, of any shape."""
@@ -225,7 +245,9 @@ class Range:
             raise SettingsError(f"a range must be LOW..HIGH, got {self.low:g}..{self.high:g}")
 
 
-def _drawn(value, rng):
+def _drawn(value, rng, settings=None):
+    if isinstance(value, Following):
+        return value(settings)
     if isinstance(value, Range):
         if value.is_wide:
             return float(np.exp(rng.uniform(math.log(value.low), math.log(value.high))))
@@ -257,16 +279,20 @@ def load_means(path: str | os.PathLike) -> Means:
 
 
 def means_from(tables):
-    """`Means` of a mapping with the tables ``bodies``, ``look`` and ``units``."""
-    unknown = sorted(set(tables) - {"bodies", "look", "units"})
+    """`Means` of a mapping with the tables ``bodies``, ``look``, ``settings`` and ``units``."""
+    unknown = sorted(set(tables) - {"bodies", "look", "settings", "units"})
     if unknown:
-        raise SettingsError(f"[{unknown[0]}] is unknown; there are [bodies.NAME], [look], [units]")
-    bodies, static = {}, set()
+        raise SettingsError(
+            f"[{unknown[0]}] is unknown; there are [bodies.NAME], [look], [settings], [units]"
+        )
+    bodies, static, settings = {}, set(), _settings(_table(tables, "settings"))
     for name, chosen in _table(tables, "bodies").items():
         chosen = dict(_table({name: chosen}, name))
         if not chosen.pop("dynamic", 1):
             static.add(name)
-        bodies[name] = {k: _choice(v, f"[bodies.{name}] {k}") for k, v in chosen.items()}
+        bodies[name] = {
+            k: _choice(v, f"[bodies.{name}] {k}", settings) for k, v in chosen.items()
+        }
     if not set(bodies) - static:
         raise SettingsError("no body moves; give [bodies.NAME] with x = \"LOW..HIGH\"")
     look = _table(tables, "look")
@@ -286,7 +312,8 @@ def means_from(tables):
     ends = (until.low,) if isinstance(until, Range) else until
     if min(ends if isinstance(ends, tuple) else (ends,)) <= 0:
         raise SettingsError("[look] until must be later than the begin, 0 s")
-    means = Means(bodies, frozenset(static), until, **numbers, units=_table(tables, "units"))
+    means = Means(bodies, frozenset(static), until, **numbers, units=_table(tables, "units"),
+                  settings=settings)  # fmt: skip
     if not means.axes:
         raise SettingsError("no body has a place; give x, y or z")
     return means
@@ -299,10 +326,23 @@ def _table(tables, name):
     return table
 
 
-def _choice(value, where):
-    """A number, a tuple of numbers, or a Range."""
+def _settings(table):
+    """Choices by name."""
+    for name in table:
+        if not name.isidentifier() or name in RESERVED:
+            raise SettingsError(f"[settings] {name!r} is no name that a formula could use")
+    return {name: _choice(value, f"[settings] {name}") for name, value in table.items()}
+
+
+def _choice(value, where, settings=()):
+    """A number, a tuple of numbers, a Range, or what follows from settings."""
     if isinstance(value, str):
         match = _RANGE.fullmatch(value)
+        if not match and settings:
+            try:
+                return Following(value, settings)
+            except SettingsError as error:
+                raise SettingsError(f"{where}: {error}") from error
         try:
             return Range(float(match[1]), float(match[2]))
         except (TypeError, ValueError):
@@ -323,21 +363,32 @@ def moved(experiment, means, rng, share=0.15):
     """An experiment near another one: every number that may be chosen is moved a little."""
     fresh = means.draw(rng)
     axes, bodies = means.axes, []
+
+    def near(value, old, new):
+        if isinstance(value, Following):
+            return value(settings)
+        if isinstance(value, Range) and value.is_wide:
+            return float(old ** (1 - share) * new**share)
+        if isinstance(value, Range):
+            return float((1 - share) * old + share * new)
+        return new if rng.random() < share else old
+
+    settings = {
+        name: near(value, experiment.settings[name], fresh.settings[name])
+        for name, value in means.settings.items()
+    }
     for body, other in zip(experiment.bodies, fresh.bodies, strict=True):
-        chosen = means.bodies[body.name]
-
-        def near(key, old, new, chosen=chosen):
-            value = chosen.get(key, 0.0)
-            if isinstance(value, Range) and value.is_wide:
-                return float(old ** (1 - share) * new**share)
-            if isinstance(value, Range):
-                return float((1 - share) * old + share * new)
-            return new if rng.random() < share else old
-
-        place = tuple(map(near, axes, body.position, other.position))
-        speed = tuple(map(near, [f"v{a}" for a in axes], body.velocity, other.velocity))
-        properties = {k: near(k, v, other.properties[k]) for k, v in body.properties.items()}
+        own = means.bodies[body.name]
+        place, speed = (
+            tuple(near(own.get(mark + a, 0.0), *both) for a, *both in zip(axes, x, y, strict=True))
+            for mark, x, y in (
+                ("", body.position, other.position), ("v", body.velocity, other.velocity),
+            )
+        )  # fmt: skip
+        properties = {
+            k: near(own.get(k, 0.0), v, other.properties[k]) for k, v in body.properties.items()
+        }
         bodies.append(replace(body, position=place, velocity=speed, properties=properties))
     until = experiment.times[-1] ** (1 - share) * fresh.times[-1] ** share
     times = np.array(experiment.times) * (until / experiment.times[-1])
-    return Experiment(tuple(bodies), tuple(times.tolist()))
+    return Experiment(tuple(bodies), tuple(times.tolist()), settings)

@@ -12,9 +12,10 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.hypothesis import read_law
 from bsp_gp.planning.apparatus import Command, recording_of
 from bsp_gp.planning.discover import _is_series, _State, calm, discover
-from bsp_gp.planning.means import Body, Experiment, Range, load_means, means_from
+from bsp_gp.planning.means import Body, Experiment, Range, load_means, means_from, moved
 from bsp_gp.planning.plan import foreseen, information, normals, plan, weights_of
 from bsp_gp.planning.rivals import Rival, in_common, kin_of, of_whole_powers
+from bsp_gp.planning.settings import Following
 from tests.snippets import ROOT, blocks
 
 MEANS = {
@@ -54,6 +55,55 @@ def test_means_are_drawn_within_their_ranges(means):
     assert all(b.is_static and 0.1 <= b.properties["charge"] <= 10 for b in sources)
     assert np.median([b.properties["charge"] for b in sources]) < 3  # even in the logarithm
     assert all(e.times[0] == 0 and len(e.times) == 6 and 1 <= e.times[-1] <= 5 for e in drawn)
+
+
+GUN = {
+    "settings": {"speed": "0.5..8", "angle": "0..1.5"},
+    "bodies": {"ball": {"x": 0, "y": 0.5, "vx": "speed * cos(angle)", "vy": "-speed*sin(angle)"}},
+    "look": {"until": 1.0, "rows": 6},
+}
+
+
+def test_numbers_of_bodies_follow_from_settings():
+    means = means_from(GUN)
+    assert means.n_choices == 2
+    made = [means.draw(np.random.default_rng(k)) for k in range(20)]
+    made += [moved(made[0], means, np.random.default_rng(1))]
+    for experiment in made:
+        speed, angle = experiment.settings["speed"], experiment.settings["angle"]
+        assert 0.5 <= speed <= 8 and 0 <= angle <= 1.5
+        expected = (speed * np.cos(angle), -speed * np.sin(angle))
+        assert experiment.bodies[0].velocity == pytest.approx(expected)
+        assert Experiment.from_dict(experiment.to_dict()) == experiment
+    assert 0 < abs(made[-1].settings["angle"] - made[0].settings["angle"]) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("spead * 2", "'spead' in .* is neither a number nor a setting"),
+        ("__import__('os')", "is neither a number nor a setting"),
+        ("speed.real", "is neither"),
+        ("sin(speed, 2)", "is neither"),
+        ("True", "is neither"),
+        ("speed +", "is no formula"),
+        ("1+" * 200 + "1", "is longer than 200 letters"),
+    ],
+)
+def test_what_is_no_formula_of_settings_is_refused(text, match):
+    with pytest.raises(SettingsError, match=match):
+        Following(text, ("speed",))
+
+
+def test_formulas_of_settings_are_no_number_where_they_cannot_be():
+    with pytest.raises(SettingsError, match="is no number where speed = -1"):
+        Following("sqrt(speed)", ("speed",))({"speed": -1.0})
+    with pytest.raises(SettingsError, match="no number where speed = 1000"):
+        Following("10 ** speed", ("speed",))({"speed": 1000.0})
+    with pytest.raises(SettingsError, match=r"\[settings\] 'pi' is no name"):
+        means_from({**GUN, "settings": {"pi": 3}})
+    with pytest.raises(SettingsError, match=r"\[bodies.ball\] vx: 'speed' in"):
+        means_from({**GUN, "settings": {"angle": "0..1"}})
 
 
 @pytest.mark.parametrize(
