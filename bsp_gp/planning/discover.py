@@ -55,11 +55,13 @@ CLEARLY = 4 * SEEN
 PATIENCE = 3
 """Rounds after which whole recordings that no law of calm rows fits are asked what is missing."""
 PATIENT = 8
-"""Times the usual effort of a fit that rivals may take on all recordings."""
+"""Times the usual effort of a fit that rivals may take on all recordings, while none fits."""
 MOST_ALONG = 2
 """Terms of a law that stands along one direction, such as that to another body."""
 FITS = 1.5
 """Reduced chi-squared up to which a law of known noise fits."""
+LEAST_LIKELY = 1e-4
+"""Rivals that are less likely beside one that fits are not weighed again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,13 +357,14 @@ class _State:
 
     def _weigh(self, dataset):
         """Fit every rival to all recordings; those that cannot be fitted are left out."""
-        kept, heights, reduced = [], [], []
+        kept, heights, reduced, criteria = [], [], [], self.settings["criteria"]
+        dataset = with_usable_masses(dataset)
         for rival in self.rivals:
             self.says(f"fitting {rival.text}")
-            hypothesis = Hypothesis.from_laws(with_usable_masses(dataset), rival.law)
-            found = fit(hypothesis, with_usable_masses(dataset),
-                        effort=PATIENT * self.settings["criteria"].effort)  # fmt: skip
-            criteria = self.settings["criteria"]
+            hypothesis = Hypothesis.from_laws(dataset, rival.law)
+            is_fitted = self._is_known and min(reduced, default=math.inf) < FITS
+            effort = (1 if is_fitted else PATIENT) * criteria.effort
+            found = fit(hypothesis, dataset, effort=effort)
             height = log_evidence(found, hypothesis, criteria)
             height -= criteria.cause_nats * len(rival.law.terms)
             if not math.isfinite(height):
@@ -377,8 +380,14 @@ class _State:
         self.rivals = tuple(
             replace(kept[k], probability=float(weights[k] / weights.sum())) for k in order
         )
-        is_known = self.means.noise > 0 or self.means.noise_share > 0
-        self.is_misfit = bool(is_known and reduced[order[0]] > FITS)
+        self.is_misfit = bool(self._is_known and reduced[order[0]] > FITS)
+        if self._is_known and not self.is_misfit:
+            self.rivals = tuple(r for r in self.rivals if r.probability > LEAST_LIKELY)
+
+    @property
+    def _is_known(self):
+        """Whether the noise is."""
+        return self.means.noise > 0 or self.means.noise_share > 0
 
     def _judge(self):
         """What is not settled."""

@@ -118,9 +118,11 @@ def load(repo):
 class Planned:
     """Everything that may be chosen is a setting or a number of a body: `bsp_gp.discover` plans."""
 
+    at_once = 12
+
     def __init__(self, executor, sigma):
         self.executor, self.sigma = executor, sigma
-        look = {"until": 10.0, "rows": 11, "noise": sigma, "at_once": 12}
+        look = {"until": 10.0, "rows": 11, "noise": sigma, "at_once": self.at_once}
         self.means = means_from({**self.choices(), "look": look})
 
     def __call__(self, experiment):
@@ -175,7 +177,7 @@ class Pair(Planned):
 class Ring(Planned):
     """A ring of bodies about one more, all alike; its radius and speed may be chosen."""
 
-    tests, n_ring = "_CIRCLE_TEST_CASES", 10
+    tests, n_ring, at_once = "_CIRCLE_TEST_CASES", 10, 4
 
     def choices(self):
         bodies = {"body 0": {"x": 0.0, "y": 0.0}}
