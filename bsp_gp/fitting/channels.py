@@ -1,8 +1,11 @@
 """The coordinates of bodies in scenes, one channel each: when seen, and whose."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+
+from bsp_gp.fitting.whitening import gaps_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +83,11 @@ class Channels:
             quoted=quoted,
             speed=None if speeds is None else np.abs(join(speeds)),
         )
+
+    @cached_property
+    def gaps(self):
+        """Intervals to the row before, s, shape (T, C); inf where a channel begins."""
+        return gaps_of(self.times)
 
     def only(self, kept):
         """Some of the channels; `kept` is an array of bool, shape (C,)."""

@@ -9,6 +9,7 @@ never below that of rounding, step^2 / 12. Quoted and declared sizes are taken a
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -142,7 +143,7 @@ class NoiseModel:
             adding=adding,
         )
 
-    @property
+    @cached_property
     def is_free(self):
         """Which axes have an estimated level, ndarray of bool, shape (d,)."""
         pairs = zip(self.sources, self.levels, strict=True)
@@ -164,16 +165,22 @@ class NoiseModel:
 
     def sizes(self, channels):
         """Standard deviation of every row without growth and tails, shape (T, C); nan = none."""
+        return np.where(channels.seen, self._sizes(channels), np.nan)
+
+    def _sizes(self, channels):
+        """The same, shape (C,) or (T, C), whether rows are seen or not."""
         level = np.maximum(np.array(self.levels), self.floors)[channels.axis]
-        size = np.broadcast_to(level * self._factors(channels), channels.seen.shape)
+        size = level * self._factors(channels)
         if channels.quoted is not None and not self.is_beside_quoted:
             floor = np.array(self.floors)[channels.axis]
             # An axis along which nothing moves stays left out.
             is_quoted = (channels.quoted > 0) & np.isfinite(level)
             size = np.where(is_quoted, np.fmax(channels.quoted, floor), size)
-        return np.where(channels.seen, size, np.nan)
+        return size
 
     def _factors(self, channels):
+        if not (self.bodies or self.scenes):
+            return 1.0
         bodies, scenes = dict(self.bodies), dict(self.scenes)
         of_body = np.array([bodies.get(name, 1.0) for name in channels.body_names])
         of_scene = np.array([scenes.get(name, 1.0) for name in channels.scene_names])
@@ -185,19 +192,25 @@ class NoiseModel:
         return np.where(self.is_free[channels.axis], factor, 1.0)
 
     def parts(self, channels, sizes=None):
-        """White variance and amplitude of the correlated part, both (T, C); nan = not seen."""
-        sizes = self.sizes(channels) if sizes is None else sizes
+        """White variance, nan = not seen, and amplitude of the correlated part, both (T, C)."""
+        sizes = self._sizes(channels) if sizes is None else sizes
         white = (1.0 - self.correlated) * np.square(sizes)
         free = self.is_free[channels.axis]
-        if free.any():
+        if (self.speed_growth or any(self.steps)) and free.any():
             if self.speed_growth and channels.speed is not None:
                 grown = np.square(self.speed_growth * channels.speed)
                 white = white + np.where(free & np.isfinite(grown), grown, 0.0)
-            rounding = np.where(free, np.square(np.array(self.steps))[channels.axis] / 12.0, 0.0)
-            white = np.maximum(white, rounding)
+            if any(self.steps):
+                rounding = np.square(np.array(self.steps))[channels.axis] / 12.0
+                white = np.maximum(white, np.where(free, rounding, 0.0))
         if self.is_beside_quoted and channels.quoted is not None:
             white = white + np.nan_to_num(np.square(channels.quoted))
-        return white, math.sqrt(self.correlated) * np.nan_to_num(sizes)
+        seen = channels.seen
+        if not self.correlated:
+            return np.where(seen, white, np.nan), np.zeros(seen.shape)
+        known = seen & np.isfinite(sizes)
+        amplitude = np.where(known, math.sqrt(self.correlated) * sizes, 0.0)
+        return np.where(seen, white, np.nan), amplitude
 
     def whitener(self, channels, weights=None):
         """Whitens errors (..., T, C).
@@ -210,7 +223,8 @@ class NoiseModel:
         white, amplitude = self.parts(channels)
         if weights is not None:
             white = white / weights
-        return whitener_of(channels.times, white, amplitude, self.correlation_time, self.adding)
+        known = self.correlation_time, self.adding, channels.gaps
+        return whitener_of(channels.times, white, amplitude, *known)
 
     def tail_weights(self, scaled, channels):
         """Weights of rows under Student's t, 1 where it does not apply, shape (T, C).

@@ -121,10 +121,10 @@ class Restricted:
         found = self._eliminate(whitener)
         return -math.inf if found is None else found[0]
 
-    def plain(self, whitener):
-        """Log-likelihood of the projected residual alone: cheaper, and nearly as curved."""
-        square = float(np.square(whitener.whiten(self._rows[-1])).sum())
-        return -0.5 * (square + whitener.log_det)
+    @property
+    def residual(self):
+        """What the columns leave, shape (T, C); 0 where not seen."""
+        return self._rows[-1]
 
     def _eliminate(self, whitener):
         q = self._q

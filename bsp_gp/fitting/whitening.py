@@ -10,7 +10,8 @@ that neither a correlation time of no length nor an endless one costs digits:
     S = a^2 Q + variance          that of the innovation
     P = Q variance / S            and of u after it
 
-The recursions of P and of the mean run in compiled loops.
+The recursions of P and of the mean run in compiled loops. A search over noise laws makes tens of
+thousands of them for a few hundred rows: times are turned into gaps once (`gaps_of`).
 """
 
 import math
@@ -35,6 +36,8 @@ class Whitener:
         Standard deviation of the correlated part.
     correlation_time : array-like, shape () or (C,), s
         Zero makes the correlated part white, inf makes it an offset.
+    gaps : ndarray, shape (T, C), optional
+        `gaps_of` the times, where they are known.
 
     Attributes
     ----------
@@ -43,7 +46,7 @@ class Whitener:
         Standard deviation of every innovation: what an error that is not foreseen is divided by.
     """
 
-    def __init__(self, times, variance, amplitude=0.0, correlation_time=0.0):
+    def __init__(self, times, variance, amplitude=0.0, correlation_time=0.0, gaps=None):
         variance = np.asarray(variance, dtype=float)
         times = np.broadcast_to(np.asarray(times, dtype=float), variance.shape)
         amplitude = np.asarray(amplitude, dtype=float)
@@ -55,24 +58,18 @@ class Whitener:
         if not amplitude.any():
             self.spread = np.sqrt(white)
         else:
-            self._remember(_decay(times, correlation_time), white, amplitude)
+            gaps = gaps_of(times) if gaps is None else gaps
+            self._remember(gaps, correlation_time, white, amplitude)
         if not np.all(self.spread > 0):
             raise FitError("the noise of a track must not be zero where a row is seen")
         self._per_spread = np.where(self.seen, 1.0 / self.spread, 0.0)
 
-    def _remember(self, decay, white, amplitude):
+    def _remember(self, gaps, correlation_time, white, amplitude):
         """The innovations' variances, and the recursion of the mean foreseen."""
-        rho, carried, fresh = decay
         amplitude = np.where(self.seen, amplitude, 0.0)
-        whole = np.square(amplitude) + white
-        with np.errstate(divide="ignore", invalid="ignore"):
-            part, rest = np.square(amplitude) / whole, white / whole
-            before = _variances(carried, fresh, part, rest)
-            innovation = part * before + rest
-            self.spread = np.sqrt(whole * innovation)
-            self._kept = rho * _earlier(rest / innovation)
-            self._gain = rho * _earlier(amplitude * before / (whole * innovation))
-        self._rho = rho
+        self.spread, self._kept, self._gain, self._rho = (np.empty(white.shape) for _ in range(4))
+        lasting = np.full(white.shape[1], correlation_time, dtype=float)
+        _filter(gaps, lasting, white, amplitude, self.spread, self._kept, self._gain, self._rho)
         self._foreseen = amplitude
 
     @property
@@ -198,43 +195,119 @@ class SummedWhitener(Whitener):
         return np.where(self.seen, np.cumsum(added, axis=-2), 0.0)
 
 
-def whitener_of(times, variance, amplitude, correlation_time, adding=None):
+def whitener_of(times, variance, amplitude, correlation_time, adding=None, gaps=None):
     """Whitens errors with a memory, or such as add up from row to row."""
     if adding:
         return SummedWhitener(times, variance, adding)
-    return Whitener(times, variance, amplitude, correlation_time)
+    return Whitener(times, variance, amplitude, correlation_time, gaps)
 
 
-def _decay(times, correlation_time):
-    """Correlation of u with its value one row before, its square, and one less that square."""
+def log_likelihood(errors, seen, gaps, variance, amplitude, correlation_time):
+    """Logarithm of the density of errors, but for a constant, without what whitens them.
+
+    It is -inf where a variance is no positive number.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (T, C)
+        Finite where seen.
+    seen : ndarray of bool, shape (T, C)
+    gaps : ndarray, shape (T, C), s
+        `gaps_of` their times.
+    variance, amplitude : ndarray, shape (T, C)
+        As `Whitener` takes them, positive and finite where seen.
+    correlation_time : float, s
+    """
+    return -0.5 * _sum_of_squares(errors, seen, gaps, variance, amplitude, float(correlation_time))
+
+
+def gaps_of(times):
+    """Intervals to the row before, (T, C); inf where a channel begins.
+
+    Parameters
+    ----------
+    times : ndarray, shape (T, C), s
+        nan = no row.
+
+    Raises
+    ------
+    FitError
+        If times do not increase.
+    """
     clock = np.maximum.accumulate(np.where(np.isfinite(times), times, -math.inf), axis=0)
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+    with np.errstate(invalid="ignore"):
         gaps = np.diff(clock, axis=0, prepend=-math.inf)
         if np.any(clock[1:] > times[1:]) or np.any(gaps < 0):
             raise FitError("the times of a track must increase")
-        ages = gaps / np.asarray(correlation_time, dtype=float)
-    ages = np.where(gaps == 0, 0.0, ages)
-    ages = np.where(np.isfinite(gaps), ages, math.inf)
-    return np.exp(-ages), np.exp(-2.0 * ages), -np.expm1(-2.0 * ages)
-
-
-def _earlier(values):
-    """Values of the row before, 0 in the first row; time is the second-last axis."""
-    moved = np.zeros_like(values)
-    moved[..., 1:, :] = values[..., :-1, :]
-    return moved
+    return np.where(np.isfinite(gaps), gaps, math.inf)
 
 
 @compiled
-def _variances(carried, fresh, part, rest):
-    """Variance of u before every row, (T, C), by rho^2, 1 - rho^2, correlated and white parts."""
-    before, after = np.empty(carried.shape), np.zeros(carried.shape[1])
-    for t in range(carried.shape[0]):
-        for c in range(carried.shape[1]):
-            here = carried[t, c] * after[c] + fresh[t, c]
-            after[c] = rest[t, c] * here / (part[t, c] * here + rest[t, c])
-            before[t, c] = here
-    return before
+def _decay(gap, lasting):
+    """Correlation of u with its value a time before, its square, and one less that square."""
+    if gap == 0.0:
+        return 1.0, 1.0, 0.0
+    age = math.inf if math.isinf(gap) else gap / lasting
+    return math.exp(-age), math.exp(-2.0 * age), -math.expm1(-2.0 * age)
+
+
+@compiled
+def _filter(gaps, lasting, white, amplitude, spread, kept, gain, rho):
+    """Innovations' standard deviations and the recursion of the mean, all (T, C), in the last four.
+
+    `amplitude` is 0 where nothing is seen.
+    """
+    n_rows, n_channels = white.shape
+    after, dropped, gained = np.zeros((3, n_channels))
+    before = np.full(n_channels, -1.0)  # the gap of the row before: clocks are often even
+    one, two, fresh = np.zeros((3, n_channels))
+    for t in range(n_rows):
+        for c in range(n_channels):
+            if gaps[t, c] != before[c]:
+                before[c] = gaps[t, c]
+                one[c], two[c], fresh[c] = _decay(gaps[t, c], lasting[c])
+            here = two[c] * after[c] + fresh[c]
+            whole = amplitude[t, c] * amplitude[t, c] + white[t, c]
+            part, rest = amplitude[t, c] * amplitude[t, c] / whole, white[t, c] / whole
+            innovation = part * here + rest
+            after[c] = rest * here / innovation
+            spread[t, c] = math.sqrt(whole * innovation)
+            rho[t, c] = one[c]
+            kept[t, c], gain[t, c] = one[c] * dropped[c], one[c] * gained[c]
+            dropped[c] = rest / innovation
+            gained[c] = amplitude[t, c] * here / (whole * innovation)
+
+
+@compiled
+def _sum_of_squares(errors, seen, gaps, white, amplitude, lasting):
+    """Sum of squares of whitened errors (T, C), and the logarithms of the variances beside it."""
+    n_rows, n_channels = errors.shape
+    after, dropped, gained, mean, value = np.zeros((5, n_channels))
+    before = np.full(n_channels, -1.0)
+    one, two, fresh = np.zeros((3, n_channels))
+    total = 0.0
+    for t in range(n_rows):
+        for c in range(n_channels):
+            if gaps[t, c] != before[c]:
+                before[c] = gaps[t, c]
+                one[c], two[c], fresh[c] = _decay(gaps[t, c], lasting)
+            here = two[c] * after[c] + fresh[c]
+            mean[c] = one[c] * (dropped[c] * mean[c] + gained[c] * value[c])
+            if not seen[t, c]:
+                after[c], dropped[c], gained[c], value[c] = here, 1.0, 0.0, 0.0
+                continue
+            whole = amplitude[t, c] * amplitude[t, c] + white[t, c]
+            part, rest = amplitude[t, c] * amplitude[t, c] / whole, white[t, c] / whole
+            innovation = part * here + rest
+            after[c] = rest * here / innovation
+            dropped[c] = rest / innovation
+            gained[c] = amplitude[t, c] * here / (whole * innovation)
+            value[c] = errors[t, c]
+            off, variance = errors[t, c] - amplitude[t, c] * mean[c], whole * innovation
+            if not variance > 0.0:
+                return math.inf
+            total += off * off / variance + math.log(variance)
+    return total
 
 
 @compiled

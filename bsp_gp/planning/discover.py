@@ -348,7 +348,8 @@ class _State:
         found = [r for r in found if r.law.terms]
         kin = []
         if found:
-            kin = [*kin_of(found[0], self.dataset), *of_whole_powers(found[0], self.dataset)]
+            seen = with_usable_masses(self.dataset)
+            kin = [*kin_of(found[0], seen), *of_whole_powers(found[0], seen)]
         less = [one for rival in (*found[:1], *kin) for one in less_a_term(rival)]
         rivals: dict = {}
         for rival in (*found, *kin, *less):

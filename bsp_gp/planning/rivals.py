@@ -118,6 +118,13 @@ def rivals_of(report):
 _R = r"norm\(p_i - p_j\)"
 _POWER = re.compile(rf"{_R}\^(n\d*)( \* exp\(-{_R} / \w+\))?")
 _WHOLE = re.compile(rf"inverse\({_R}(?:\^(\d+))?\)|{_R}\^-(\d+)")
+_FALLING = {
+    rf"bessel_k1\({_R} / (\w+)\)": lambda r, length: float(bessel_k1(r / length)),
+    rf"exp\(-{_R} / (\w+)\)": lambda r, length: math.exp(-r / length),
+    rf"exp\(-\({_R} / (\w+)\)\^2\)": lambda r, length: math.exp(-((r / length) ** 2)),
+    rf"\({_R}\^2 \+ (\w+)\^2\)\^-1\.5": lambda r, length: (r**2 + length**2) ** -1.5,
+}
+"""Factors that fall with the distance beyond a fitted length."""
 
 
 def kin_of(rival, dataset):
@@ -134,9 +141,11 @@ def kin_of(rival, dataset):
     Returns
     -------
     list of Rival
-        Of no probability yet, their constants starts; none where no power falls with the distance.
+        Of no probability yet, their constants starts; none where nothing falls with the distance.
     """
     texts = [to_text(term.formula) for term in rival.law.terms]
+    if free := _free_power(rival, texts, dataset):
+        return [free]
     found = [(k, match) for k, text in enumerate(texts)
              if (match := _POWER.search(text) or _WHOLE.search(text))]  # fmt: skip
     if len(found) != 1:
@@ -166,13 +175,38 @@ def kin_of(rival, dataset):
                  for up in (0, 1)]  # fmt: skip
         whole[1] = re.sub(rf"\b{strength}\b", second, whole[1])
         kin.append((whole, {second: values[strength]}))
-    out = []
-    for changed, starts in kin:
-        law = read_law(dataset, [*texts[:k], *changed, *texts[k + 1 :]])
-        law = replace(law, terms=tuple(replace(t, is_declared=False) for t in law.terms))
-        known = {name: (values | starts)[name] for name in law.names}
-        out.append(Rival(law.text(digits=False), law.with_constants(known), 0.0))
-    return out
+    return [
+        _changed(rival, [*texts[:k], *changed, *texts[k + 1 :]], starts, dataset)
+        for changed, starts in kin
+    ]
+
+
+def _changed(rival, texts, starts, dataset):
+    """A law of other texts, its constants as a rival has them or as `starts` say."""
+    law = read_law(dataset, texts)
+    law = replace(law, terms=tuple(replace(t, is_declared=False) for t in law.terms))
+    known = {name: (rival.law.constants | starts)[name] for name in law.names}
+    return Rival(law.text(digits=False), law.with_constants(known), 0.0)
+
+
+def _free_power(rival, texts, dataset):
+    """A fitted power in the place of what falls beyond a length; None where nothing does."""
+    found = [
+        (k, match, shape) for k, text in enumerate(texts) for pattern, shape in _FALLING.items()
+        if (match := re.search(pattern, text))
+    ]  # fmt: skip
+    if len(found) != 1 or any(_POWER.search(text) for text in texts):
+        return None
+    ((k, match, shape),) = found
+    values, strengths = rival.law.constants, rival.law.terms[k].formula.constants
+    strengths = [name for name in strengths if name != match[1]]
+    if len(strengths) != 1 or match[1] not in values:
+        return None
+    exponent, far = fresh_name(rival.law, "n"), _typical_distance(dataset)
+    alike = values[strengths[0]] * shape(far, values[match[1]]) * far  # as strong at that distance
+    changed = texts[k].replace(match[0], f"norm(p_i - p_j)^{exponent}")
+    starts = {exponent: -1.0, strengths[0]: alike}
+    return _changed(rival, [*texts[:k], changed, *texts[k + 1 :]], starts, dataset)
 
 
 def of_whole_powers(rival, dataset):
@@ -196,10 +230,7 @@ def of_whole_powers(rival, dataset):
         changed = [re.sub(what, f"^{power:g}" if power else "", text) for text in changed]
     if changed == texts:
         return []
-    law = read_law(dataset, changed)
-    law = replace(law, terms=tuple(replace(t, is_declared=False) for t in law.terms))
-    known = {name: values[name] for name in law.names}
-    return [Rival(law.text(digits=False), law.with_constants(known), 0.0)]
+    return [_changed(rival, changed, {}, dataset)]
 
 
 def less_a_term(rival):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_triangular
 
 from bsp_gp.errors import FitError
-from bsp_gp.fitting.whitening import Whitener
+from bsp_gp.fitting.whitening import Whitener, gaps_of, log_likelihood
 
 TIMES = st.sampled_from([0.0, 1e-9, 1e-3, 0.3, 1.0, 40.0, 1e9, np.inf])
 AMPLITUDES = st.sampled_from([0.0, 1e-9, 0.1, 1.0, 10.0])
@@ -33,6 +33,23 @@ def tracks(draw):
     n_missing = draw(st.integers(0, n_rows // 2))
     times[n_rows - n_missing :, 0] = np.nan  # a shorter track is filled up
     return times, variance, rng.standard_normal((2, *shape))
+
+
+@settings(max_examples=100, deadline=None)
+@given(tracks(), AMPLITUDES, TIMES)
+def test_the_likelihood_is_that_of_what_is_whitened(track, amplitude, memory):
+    times, variance, (errors, _) = track
+    whitener = Whitener(times, variance, amplitude, memory)
+    expected = -0.5 * (np.square(whitener.whiten(errors)).sum() + whitener.log_det)
+    amplitudes = np.full(times.shape, amplitude)
+    found = log_likelihood(errors, whitener.seen, gaps_of(times), variance, amplitudes, memory)
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_the_likelihood_of_no_noise_is_none():
+    one = np.ones((3, 1))
+    gaps, seen = gaps_of(np.arange(3.0)[:, None]), np.full((3, 1), True)
+    assert log_likelihood(one, seen, gaps, 0 * one, 0 * one, 1.0) == -np.inf
 
 
 @settings(max_examples=150, deadline=None)
