@@ -166,7 +166,10 @@ def _error(levels, rows, step):
 
 
 def _lacking(dataset, law, pieces, levels):
-    """What a law lacks along scenes, by name; its constants are those of their middle halves."""
+    """What a law lacks along scenes, by name; its constants are those of their middle halves.
+
+    Without forces it lacks all.
+    """
     own = [scene for scene in dataset.scenes if scene.name in pieces]
     middle = [scene.rows(len(scene.times) // 4, 3 * len(scene.times) // 4) for scene in own]
     middle = replace(dataset, scenes=tuple(middle), train=(), test=())
@@ -176,14 +179,16 @@ def _lacking(dataset, law, pieces, levels):
         firsts = range(0, len(scene.times) - rows + 1, max(rows // OVERLAP, 1))
         centres[scene.name] = np.array(firsts) + rows // 2
         cut += [replace(scene.rows(a, a + rows), name=f"{scene.name} {a}") for a in firsts]
-    found = snippets_under(law, middle, cut)
-    if found is None:
-        return {}
-    channels, out, axes = found.channels, {}, np.flatnonzero(np.isfinite(levels))
-    columns = {
-        (channels.scene_names[scene], axis): column
-        for column, (scene, axis) in enumerate(zip(channels.scene, channels.axis, strict=True))
-    }
+    out, axes, columns = {}, np.flatnonzero(np.isfinite(levels)), {}
+    if law.terms or law.frame or law.unseen:
+        found = snippets_under(law, middle, cut)
+        if found is None:
+            return {}
+        channels = found.channels
+        columns = {
+            (channels.scene_names[scene], axis): found.residual[:, column]
+            for column, (scene, axis) in enumerate(zip(channels.scene, channels.axis, strict=True))
+        }
     for scene in own:
         rows, usual = pieces[scene.name]
         step = float(np.median(np.diff(scene.times)))
@@ -192,9 +197,12 @@ def _lacking(dataset, law, pieces, levels):
         for k, centre in enumerate(centres[scene.name]):
             first = centre - rows // 2
             times = scene.times[first : first + rows]
-            own_columns = [columns[f"{scene.name} {first}", axis] for axis in axes]
             whole[k] = _bend(times, places[first : first + rows])
-            lacks[k] = _bend(times, found.residual[:rows, own_columns])
+            if columns:
+                left = [columns[f"{scene.name} {first}", axis][:rows] for axis in axes]
+                lacks[k] = _bend(times, np.stack(left, axis=1))
+            else:
+                lacks[k] = whole[k]
         error = _error(levels[axes], rows, step)
         out[scene.name] = _Series(centres[scene.name], whole, lacks, error, usual)
     return out

@@ -51,6 +51,9 @@ MANY = 4
 """Numbers beyond which more of them (one of each body, say) count no further for that."""
 WITHIN_NOISE = 3.0
 """Standard deviations of chi-squared within which a law leaves nothing for a sum with more laws."""
+NEARLY_NOTHING, CLEARLY_LESS = 1e-3, 0.7
+"""Part of chi-squared that a law leaves which tells of others nearly as one that leaves nothing, in
+place of which another comes that leaves less than so much of it."""
 LESS = 0.9
 """Of the reduced chi-squared of a fit, below which another has left less."""
 REACH = 1.5
@@ -809,11 +812,11 @@ class _Turn:
         return [able[k] for nats, k in sorted(b for b in behind if b[0] < 0)[:MOST_BETTER]]
 
     def _explained(self, row, proposal, found):
-        """What a law that leaves nothing says of others, where that is more than they promise."""
+        """What a law that leaves nothing, or next to it, says of others that promise much."""
         if not proposal.promise > FAR_BEHIND or self.run.clock.is_over:
             return None
         try:
-            return Explained(row, proposal, found, self.run.dataset)
+            return Explained(row, proposal, found, self.run.dataset, self._left(found))
         except FAULTS:
             return None
 
@@ -890,12 +893,16 @@ class _Turn:
         # Promises are made under the pure error; the base may have been fitted under a larger one.
         dof = new.n_rows - new.n_free
         left = max(self._left(new) - 1.0, 0.0) * dof
-        if proposal.formulas and left < WITHIN_NOISE * math.sqrt(2.0 * dof):
+        leaves_nothing = left < WITHIN_NOISE * math.sqrt(2.0 * dof)
+        if proposal.formulas and leaves_nothing:
             # A sum has a strength for each law: some single law has as many numbers inside.
             n_numbers = sum(len(formula.constants) for formula in proposal.formulas)
             self.leaving_nothing.append((row.id, n_numbers, row.log_posterior))
-            if self.explained is None and row.log_posterior > self.rows[0].log_posterior:
-                self.explained = self._explained(row, proposal, new)
+        is_likelier = row.log_posterior > self.rows[0].log_posterior
+        is_new = self.explained is None or self._left(new) < CLEARLY_LESS * self.explained.left
+        leaves_nothing |= self._left(new) < NEARLY_NOTHING * self._left(self.base)
+        if proposal.formulas and is_likelier and is_new and leaves_nothing:
+            self.explained = self._explained(row, proposal, new) or self.explained
         gained = max(gained, proposal.promise - 0.5 * (proposal.gain - self.missing + left))
         self.found[measure] = max(self.found[measure], min(gained, proposal.promise))
         is_kept = self._left(new) < EXPLAINED and gained > 0.8 * proposal.promise

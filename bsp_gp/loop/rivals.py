@@ -1,9 +1,11 @@
-"""How well other laws would do, told from the tracks of one that leaves nothing.
+"""How well other laws would do, told from the tracks of one that leaves nothing, or very little.
 
 Far from the tracks promises are off by some per cent; of a hundred thousand nats that is more than
 all that rivals differ by. Where one law was fitted and explains all, what it does is known at its
 own tracks: the moments of its force, on which the columns of any other law are set anew.
 """
+
+import math
 
 import numpy as np
 
@@ -21,6 +23,10 @@ FREE = 5.0
 three standard deviations are 4.5."""
 PARALLEL = 1e-9
 """Part of a law, squared, that may lie beside another for the two to be one on these data."""
+INNER = 1e-4
+"""Change of a number inside a form, as a part of it, over which moments are linear."""
+DOUBT = 0.5
+"""Part that is counted of what is told of a form with numbers inside, where they begin."""
 
 
 class Explained:
@@ -35,10 +41,14 @@ class Explained:
     found : Fit
     dataset : Dataset
         Training scenes.
+    left : float
+        Reduced chi-squared that it leaves, of the noise by which moments are weighed.
     """
 
-    def __init__(self, row, proposal, found, dataset):
+    def __init__(self, row, proposal, found, dataset, left=1.0):
         self.row, self.proposal, self._losses, self._included = row, proposal, {}, {}
+        self.left, self._dof = left, max(found.n_rows - found.n_free, 1)
+        self._is_estimated = bool(found.noise.is_free.any())
         self.dataset = proposal.hypothesis.seen(dataset)
         self.response = response = respond(found, self.dataset)
         target, columns = response.left()
@@ -58,6 +68,8 @@ class Explained:
     def loss(self, proposal):
         """Nats of likelihood by which another law does worse; nan where that is not told.
 
+        Noise that is estimated grows with what a law leaves.
+
         Parameters
         ----------
         proposal : Proposal
@@ -65,8 +77,14 @@ class Explained:
             numbers inside.
         """
         if proposal not in self._losses:
-            self._losses[proposal] = self._loss(proposal)
+            self._losses[proposal] = self._weighed(self._loss(proposal))
         return self._losses[proposal]
+
+    def _weighed(self, nats):
+        """Nats under the noise that a law leaves, of those by which moments are weighed."""
+        if self.left <= 1.0 or not self._is_estimated or not nats > 0:
+            return nats
+        return 0.5 * self._dof * math.log1p(2 * nats / (self._dof * self.left))
 
     def includes(self, proposal):
         """Whether a law is the one that leaves nothing, where a power in it is a whole number.
@@ -117,18 +135,47 @@ class Explained:
             return 0.0
         if _instruments(proposal) != _instruments(self.proposal):  # what is seen of forces differs
             return np.nan
+        return self._nats(proposal, self._columns)
+
+    def _nats(self, proposal, columns_of):
+        """Nats by which the columns of the terms of another law take off less."""
         terms = [t for t in proposal.hypothesis.law.terms if t.formula in proposal.formulas]
         if not terms or len(terms) != len(proposal.formulas):
             return np.nan
         try:
-            columns = [self._columns(term) for term in terms]
+            columns = [columns_of(term) for term in terms]
         except EvaluationError:
             return np.nan
-        if any(column is None for column in columns):
+        if any(column is None or not np.isfinite(column).all() for column in columns):
             return np.nan
         basis = orthonormal(self._beside(np.concatenate(columns, axis=1)), len(self._missing))
         gain = float(np.square(basis.T @ self._missing).sum())
         return 0.5 * (self._gain - gain)
+
+    def _about(self, proposal):
+        """Nats by which a law with numbers inside does worse, as far as these are linear.
+
+        From where its fit would begin; part of that alone is counted.
+        """
+        values = {**proposal.hypothesis.law.constants, **proposal.starts}
+
+        def columns(term):
+            strength, form = split_linear(term.formula)
+            if strength is None or strength.endswith("]"):
+                return None
+            known = {name: values.get(name, math.nan) for name in form.constants}
+            if not all(isinstance(v, float) and math.isfinite(v) for v in known.values()):
+                return None
+            at = self.response.moments_of(ForceLaw((Term(form, term.kind),), known))
+            found = [at]
+            for name, value in known.items():
+                step = INNER * (abs(value) or 1.0)
+                moved = ForceLaw((Term(form, term.kind),), {**known, name: value + step})
+                found.append((self.response.moments_of(moved) - at) / step)
+            return np.stack(found, axis=1)
+
+        nats = self._nats(proposal, columns)
+        return DOUBT * self._weighed(nats) if nats > 0 else nats
 
     def _columns(self, term):
         """Moments of a term for each of its strengths, (n, c); None where more is free in it."""
@@ -146,8 +193,10 @@ class Explained:
 
         nan where that is not told.
         """
-        mine, theirs = self.proposal, proposal
-        height = self.loss(proposal) + mine.volume - theirs.volume
+        mine, theirs, nats = self.proposal, proposal, self.loss(proposal)
+        if math.isnan(nats) and _instruments(mine) == _instruments(theirs):
+            nats = self._about(proposal)
+        height = nats + mine.volume - theirs.volume
         return height + min(mine.log_prior - theirs.log_prior, 0.0)
 
 
