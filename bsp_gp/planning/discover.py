@@ -357,9 +357,16 @@ class _State:
         self.rivals = tuple(rivals.values())
 
     def _weigh(self, dataset):
-        """Fit every rival to all recordings; those that cannot be fitted are left out."""
+        """Fit every rival to all recordings; those that cannot be fitted are left out.
+
+        The better a power is known, the more it says which whole one it may be.
+        """
         kept, heights, reduced, criteria = [], [], [], self.settings["criteria"]
         dataset = with_usable_masses(dataset)
+        texts = {rival.text for rival in self.rivals}
+        whole = [of_whole_powers(rival, dataset) for rival in self.rivals[:1]]
+        new = (rival for found in whole for rival in found if rival.text not in texts)
+        self.rivals = (*self.rivals, *new)
         for rival in self.rivals:
             self.says(f"fitting {rival.text}")
             hypothesis = Hypothesis.from_laws(dataset, rival.law)

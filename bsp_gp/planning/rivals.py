@@ -19,8 +19,9 @@ LEAST = 1e-3
 """Less likely rivals are left out."""
 MOST = 8
 """Rivals at the most, the likeliest."""
-NEARLY = 0.05
-"""By which a power may be off a whole one, or a half, that is tried in its place."""
+NEARLY, SURELY = 0.05, 2.0
+"""By which a power may be off a whole one, or a half, that is tried in its place, and standard
+deviations by which it may be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,9 +220,10 @@ def of_whole_powers(rival, dataset):
     """
     texts = [to_text(term.formula) for term in rival.law.terms]
     values, changed = rival.law.constants, list(texts)
+    errors = dict(zip(rival.names, np.sqrt(np.diag(rival.covariance)), strict=True))
     for name in rival.law.names:
         power = round(2 * values[name]) / 2
-        if abs(values[name] - power) > NEARLY:
+        if abs(values[name] - power) > max(NEARLY, SURELY * errors.get(name, 0.0)):
             continue
         what = r"\^" + name + r"\b"
         if not power:

@@ -244,7 +244,11 @@ def test_powers_that_are_nearly_whole_are_tried_as_such(means):
     assert "m_i + m_j" not in whole.text and "^-1 " in whole.text
     (half,) = of_whole_powers(rival(means, law, k1=1.5, a1=-0.7, n1=-1.49), dataset)
     assert half.law.names == ("k1", "a1") and "norm(p_i - p_j)^-1.5" in half.text
-    assert not of_whole_powers(rival(means, law, k1=1.5, a1=-0.7, n1=-1.3), dataset)
+    vague = rival(means, law, k1=1.5, a1=-0.7, n1=-1.4)
+    assert not of_whole_powers(vague, dataset)
+    vague = replace(vague, names=("n1",), covariance=np.array([[0.06**2]]))
+    (half,) = of_whole_powers(vague, dataset)
+    assert "norm(p_i - p_j)^-1.5" in half.text
 
 
 def test_a_whole_power_has_a_fitted_one_and_a_screened_force_as_kin(means):
