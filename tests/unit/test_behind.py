@@ -8,12 +8,15 @@ from bsp_gp.loop.loop import _Turn
 NOTHING = {False: 0.0, True: 0.0}
 
 
-def is_behind(promise, gain, *, missing, measures, found=NOTHING, kept=NOTHING, spare=NOTHING):
+def is_behind(
+    promise, gain, *, missing, measures, found=NOTHING, kept=NOTHING, spare=NOTHING, **more
+):
     turn = SimpleNamespace(
         found=found, kept=kept, spare=spare, missing=missing,
         run=SimpleNamespace(criteria=Criteria()),
     )  # fmt: skip
-    proposal = SimpleNamespace(promise=promise, gain=gain)
+    kind = {"kind": "force", "is_afresh": False, **more}
+    proposal = SimpleNamespace(promise=promise, gain=gain, **kind)
     return _Turn._is_behind(turn, proposal, measures)
 
 
@@ -35,3 +38,10 @@ def test_what_is_far_behind_a_law_that_explains_all_is_not_fitted():
     assert is_behind(890.0, 1900.0, **of_all)
     assert not is_behind(910.0, 1900.0, **of_all)
     assert not is_behind(890.0, 1900.0, **of_all, spare={False: 120.0, True: 0.0})
+
+
+def test_names_that_are_swapped_are_tried_whatever_rows_that_are_left_out_have_gained():
+    """Of two tracks that bear each other's names the rows behind the swap were left out."""
+    of_all = {"missing": 2000.0, "measures": {True}, "kept": {False: 0.0, True: 1000.0}}
+    assert is_behind(890.0, 1900.0, **of_all, kind="measurement")
+    assert not is_behind(890.0, 1900.0, **of_all, kind="measurement", is_afresh=True)
