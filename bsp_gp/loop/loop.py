@@ -287,6 +287,8 @@ class _Run:
                 turn.propose(number, view, self.proposers)
             asked = self.asked(view)
             turn.p_value = turn.p_of_all(view, self.looks)
+            if turn.p_value > self.criteria.alpha and turn.ask_the_rest(number, view):
+                turn.p_value = turn.p_of_all(view, self.looks)
             if turn.p_value > self.criteria.alpha:
                 turn.ask_without_memory(number, view)
                 turn.ask_swamped()
@@ -294,8 +296,11 @@ class _Run:
                 asked |= self.traced(view, turn)
                 if held is None:
                     turn.fit_best()
+                    turn.fit_the_rest(number, view)
                     if not is_little:
                         turn.fit_seconds(number, rng)
+        if turn.unasked:
+            turn.note("proposers")
         turn.note_time("fits")
         of_noise = (view.noise_chance, view.forced, turn.swamped) if view else ()
         table = HypothesisTable(tuple(turn.rows), turn.p_value, *of_noise)
@@ -326,7 +331,8 @@ class _Run:
         sole = [(f.name, p) for f in turn.families for p in f.proposals if p.is_sole]
         if not sole or turn.p_of_all(view, self.looks) > self.criteria.alpha:
             return None
-        return turn if turn.fit_held(sole[:MOST_HELD]) and not turn.left_out else None
+        is_whole = turn.fit_held(sole[:MOST_HELD]) and not (turn.left_out or turn.unasked)
+        return turn if is_whole else None
 
     def details(self, best, turn, view, rng):
         """What its proposer tells of the likeliest cause, if it does."""
@@ -370,6 +376,7 @@ class _Turn:
         self.rows = [Row(0, "base", "", "", *base, left=_left_by(found, 0))]
         self.fits, self.hypotheses, self.proposals = {0: found}, {0: hypothesis}, {}
         self.families, self.left_out, self.p_value, self.chances = [], [], np.nan, {}
+        self.unasked = []  # proposers for which there was no time before the fits
         self.levels = np.array(found.noise.levels)  # of the noise by which promises are made
         self.judged = {}  # reduced chi-squared of what was judged by more than itself
         # By what proposers look at, rows or forces: nats that a fit has promised and kept, and the
@@ -420,10 +427,10 @@ class _Turn:
         clock = self.run.clock.share(PROPOSERS)
         shared = others, view, clock
         parts = self.run.crew.work(_proposed, shared, list(range(len(others))))
-        found = {}
-        for proposer in (*here, *others):
+        found, queue, self.unasked = {}, [*here, *others], []
+        for at, proposer in enumerate(queue):
             if clock.is_over:
-                self.note("proposers")
+                self.unasked = queue[at:]
                 break
             k, n = self.run.proposers.index(proposer) + 1, len(self.run.proposers)
             if proposers is self.run.proposers:
@@ -438,6 +445,25 @@ class _Turn:
             self.note("proposers")
         view.tick = self.run.clock.tick
         self.families += [family for _, family in sorted(found.items()) if family is not None]
+
+    def ask_the_rest(self, number, view):
+        """Ask those for which there was no time before, if there is some now; whether any was."""
+        rest = self.unasked
+        if not rest or self.run.clock.is_over:
+            return False
+        self.run.says(f"round {number}: {len(rest)} kinds of causes for which there is time now")
+        self.propose(number, view, rest)
+        return len(self.unasked) < len(rest)
+
+    def fit_the_rest(self, number, view):
+        """The same, and fit the likeliest of what they propose."""
+        before = self.families
+        if not self.ask_the_rest(number, view):
+            return
+        self.p_value = self.p_of_all(view, self.run.looks)
+        self.families, every = self.families[len(before) :], self.families
+        self.fit_best()
+        self.families = every
 
     def _may_ask(self, proposer):
         """Whether a proposer can tell anything of the fit as it is."""
