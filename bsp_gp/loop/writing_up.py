@@ -15,6 +15,7 @@ from bsp_gp.fitting.held_out import regression_of
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.fitting.parts.hidden import HiddenSource
+from bsp_gp.fitting.parts.orbits import Orbit
 from bsp_gp.fitting.periodogram import is_of_swing, longest, rates_in
 from bsp_gp.language.formula import Call, Input, Number, factors, walk
 from bsp_gp.language.render import to_latex, to_text
@@ -44,13 +45,16 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
     "likelier_refused", "at_bound", "much_left", "laboratory", "poorly_foreseen",
-    "smooth_kicks", "open_powers",
+    "smooth_kicks", "open_powers", "season",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
 """Part of what the declared law leaves from which much is left, and its signal-to-noise ratio."""
 FEWEST_PERIODS = 2
 """That a recording must have of what comes back in time: one wave is as good as any curve."""
+DAY = 86400.0
+SEASONS, AS_LONG = (365.25 * DAY, 182.625 * DAY, DAY, 0.99727 * DAY), 0.03
+"""The year of the Earth, half of it and its days, s, and by which part a period is as long."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
@@ -305,6 +309,22 @@ def doubt_of_periods(rounds, removed):
                     return "few_periods"
                 if r.decision.best.code == "period" and is_of_swing(rate, r.entering):
                     return "own_period"
+    return ""
+
+
+def doubt_of_seasons(rounds, removed):
+    """Why orbits that rounds have added are none for sure; "" where nothing says so.
+
+    Stars are looked at from the Earth: what its year, half of it or its day does to instruments
+    and to when stars are seen comes back as a companion would.
+    """
+    for r in _kept(rounds, removed):
+        found = r.fits[r.decision.best.id]
+        for part in found.law.frame:
+            if isinstance(part, Orbit) and part not in r.entering.law.frame:
+                period = found.law.constants[part.names[0]]
+                if any(abs(period / season - 1) < AS_LONG for season in SEASONS):
+                    return "season"
     return ""
 
 

@@ -66,6 +66,19 @@ def _ended(text):
     return text if not text or text[-1] in ".!?" else text + "."
 
 
+_DESCRIBES = "It describes these tracks, but "
+
+
+def _why_it_describes(round_):
+    """Why what a round has adopted only describes the tracks."""
+    reason = str(round_.reason).strip().rstrip(".")
+    if reason.startswith(_DESCRIBES):
+        but = reason.removeprefix(_DESCRIBES)
+        return f"It describes them, but {but}: that it is the cause is not shown."
+    why = f": {reason[:1].lower()}{reason[1:]}" if reason else ""
+    return f"It describes them; that it is the cause is not shown{why}."
+
+
 def _findings(rounds):
     """What was found, effects of one kind told together."""
     groups = {}
@@ -117,7 +130,7 @@ def verdict_parts(report):
         names = _joined(_counted(map(_either, forces)))
         text = f"On these tracks the motion is as if there were {names}."
         others = _findings(r for r in adopted if r not in forces)
-        detail = "It describes them; that it is the cause is not shown."
+        detail = _why_it_describes(next(r for r in adopted if r.verdict == report.verdict))
         return text, f"{detail} {others[:1].upper()}{others[1:]}." if others else detail
     if report.verdict == "the noise is not as assumed":
         return "The noise of the measurement is not as it was assumed.", ""

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bsp_gp.fitting.hypothesis import Parameter
-from bsp_gp.loop.writing_up import doubt_of_bounds, doubt_of_rest
+from bsp_gp.fitting.parts.orbits import Orbit
+from bsp_gp.loop.writing_up import DAY, doubt_of_bounds, doubt_of_rest, doubt_of_seasons
 from tests.fitted_tracks import law_of
 
 PUSH = "c1 * (0.5 * (1 - sign(dot(p_i - origin, e_x) - h_x1)) * e_y)"
@@ -60,3 +61,20 @@ def test_beside_what_is_left_of_most_of_the_motion_no_law_is_sure(after, snr, ve
     bound = SimpleNamespace(snr=snr)
     assert doubt_of_rest(left(1.0), left(after), rounds, bound) == said
     assert doubt_of_rest(left(1.0), left(after), rounds, None) == ""
+
+
+@pytest.mark.parametrize(
+    ("days", "said"),
+    [(359.0, "season"), (182.0, "season"), (1.0, "season"), (4.23, ""), (405.0, "")],
+)
+def test_a_companion_that_comes_back_with_the_seasons_is_none_for_sure(days, said):
+    """Beside the planet of a star that was seen for ten years another of 359 d was a fact."""
+    orbit = Orbit(tuple(Parameter(f"{stem}1") for stem in ("P", "K", "longitude")), 0.0)
+    with_orbit = SimpleNamespace(frame=(orbit,), constants={"P1": days * DAY})
+    made = SimpleNamespace(
+        number=1, fits={2: SimpleNamespace(law=with_orbit)},
+        entering=SimpleNamespace(law=SimpleNamespace(frame=())),
+        decision=SimpleNamespace(is_adopted=True, best=SimpleNamespace(id=2)),
+    )  # fmt: skip
+    assert doubt_of_seasons([made], ()) == said
+    assert doubt_of_seasons([made], {1}) == ""
