@@ -17,6 +17,7 @@ from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.fitting.parts.hidden import HiddenSource
 from bsp_gp.fitting.parts.orbits import Orbit
 from bsp_gp.fitting.periodogram import is_of_swing, longest, rates_in
+from bsp_gp.fitting.starts import roles_of
 from bsp_gp.language.formula import Call, Input, Number, factors, walk
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
@@ -45,7 +46,7 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
     "likelier_refused", "at_bound", "much_left", "laboratory", "poorly_foreseen",
-    "smooth_kicks", "open_powers", "season",
+    "smooth_kicks", "open_powers", "odd_power", "season",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
@@ -129,7 +130,18 @@ def _own_doubt(done, effect):
     if getattr(done.proposals[done.decision.best.id], "is_smooth", False):
         return "smooth_kicks"
     is_series = len({e["term"] for e in effect.exponents if is_open(e)}) > 1
-    return "open_powers" if is_series else ""
+    best = done.decision.best
+    is_curve = best.n_pushes and has_odd_power(done.fits[best.id])
+    return "open_powers" if is_series else "odd_power" if is_curve else ""
+
+
+def has_odd_power(found):
+    """Whether a fitted power in the law of a fit is surely no multiple of a half."""
+    roles = roles_of(found.law)
+    for (name, _), value, error in zip(found.parameters, found.values, found.errors, strict=True):
+        if roles.get(name) == "exponent" and abs(value - round(2 * value) / 2) > Z_90 * error:
+            return True
+    return False
 
 
 def is_many(rounds, removed):

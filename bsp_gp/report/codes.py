@@ -98,6 +98,8 @@ REASONS = {
     "few_periods": "no recording is as long as two of its periods: it was not seen to come back",
     "own_period": "its period is about that of the swing itself, or a part of it: whatever the law "
     "lacks otherwise looks like that",
+    "odd_power": "a power that is no whole or half number, and a steady push beside it, follow "
+    "many a curve",
     "season": "a period is that of the Earth's year, half of it or its day: what these do to "
     "instruments, and to when stars are seen, comes back as a companion would",
     "held_out_disagrees": "it describes the tracks that it was found in, but what was held out "

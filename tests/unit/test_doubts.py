@@ -7,7 +7,13 @@ import pytest
 
 from bsp_gp.fitting.hypothesis import Parameter
 from bsp_gp.fitting.parts.orbits import Orbit
-from bsp_gp.loop.writing_up import DAY, doubt_of_bounds, doubt_of_rest, doubt_of_seasons
+from bsp_gp.loop.writing_up import (
+    DAY,
+    doubt_of_bounds,
+    doubt_of_rest,
+    doubt_of_seasons,
+    has_odd_power,
+)
 from tests.fitted_tracks import law_of
 
 PUSH = "c1 * (0.5 * (1 - sign(dot(p_i - origin, e_x) - h_x1)) * e_y)"
@@ -78,3 +84,15 @@ def test_a_companion_that_comes_back_with_the_seasons_is_none_for_sure(days, sai
     )  # fmt: skip
     assert doubt_of_seasons([made], ()) == said
     assert doubt_of_seasons([made], {1}) == ""
+
+
+@pytest.mark.parametrize(
+    ("power", "error", "is_odd"), [(0.962, 0.004, True), (0.98, 0.02, False), (1.5, 1e-3, False)]
+)
+def test_a_power_that_is_surely_no_multiple_of_a_half_is_odd(power, error, is_odd):
+    """A torsion balance whose zero moved by a millimetre was a force to the 0.962 and a push."""
+    law = law_of("c1 * norm(v_i)^n1 * normalize(v_i)", c1=1.0, n1=power)
+    found = SimpleNamespace(
+        law=law, parameters=(("c1", ""), ("n1", "")), values=(1.0, power), errors=(0.1, error)
+    )
+    assert has_odd_power(found) is is_odd
