@@ -19,6 +19,8 @@ FEWEST_TURNS = 1.5
 FADING = (0.0, 3.0, 6.0, 12.0)
 """Times the longest track in decay times of a swing, first none; and SEEN decay times show it."""
 SEEN = 3.0
+MOST_ROWS, WITHIN = 8_000, 0.01
+"""Of a track in which a swing is sought, and the part of its variance that may lie within means."""
 OVERTONES = {1: 1.0, 2: 0.5, 3: 0.5}
 """Multiples of a swing's rate, and how many turns a track nearer a push looks like what the swing
 lacks: a change of its size or rate, or of the form of what drives it back."""
@@ -118,11 +120,11 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
         kept = [k for k in kept if found.channels.body_names[found.channels.body[k]] == body]
     if (foreseen and found.is_failed) or not kept:
         return 0.0
-    span = longest(found)
-    step = float(np.median(np.concatenate([np.diff(times[seen[k], k]) for k in kept])))
+    lesser = {k: _lesser(times[seen[k], k], tracks[seen[k], k]) for k in kept}
+    span = float(max(np.ptp(t) for t, _ in lesser.values()))
+    step = float(np.median(np.concatenate([np.diff(t) for t, _ in lesser.values()])))
     rates, whole, count, own = _rates(span, step), 0.0, 0, []
-    for k in kept:
-        t, x = times[seen[k], k], tracks[seen[k], k]
+    for k, (t, x) in lesser.items():
         own.append((t, x, np.full(len(t), sizes[k] ** 2)))
         u = (t - t.mean()) / np.ptp(t)
         left = x - np.polynomial.Polynomial.fit(u, x, 2)(u)
@@ -142,6 +144,22 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
         if is_shown and rates[best] * shown > 2 * np.pi * turns:
             return float(rates[best])
     return 0.0
+
+
+def _lesser(times, x):
+    """Rows that show a swing as well as so many more: means where these move little within them.
+
+    Else the first rows alone.
+    """
+    size = -(-len(times) // MOST_ROWS)
+    if size == 1:
+        return times, x
+    kept = len(times) - len(times) % size
+    blocks = x[:kept].reshape(-1, size)
+    means = blocks.mean(axis=1)
+    if np.square(blocks - means[:, None]).mean() < WITHIN * x.var():
+        return times[:kept].reshape(-1, size).mean(axis=1), means
+    return times[:MOST_ROWS], x[:MOST_ROWS]
 
 
 def _rates(span, step):

@@ -4,10 +4,12 @@ import math
 import re
 from dataclasses import dataclass
 
-from bsp_gp.report.numbers import format_number, with_unit
+from bsp_gp.report.numbers import format_number, rounded, with_unit
 
 MOST_KICKS = 3
 """That are told one by one."""
+FINE = 1e3
+"""Times an interval that an instant may be, for three digits to tell it."""
 AGAINST = -0.95
 """Cosine between the jumps of two bodies, below which these are against each other."""
 
@@ -53,7 +55,12 @@ class _Kick:
 
     @property
     def when(self):
-        return with_unit(format_number(self.instant.value, 3), self.instant.unit)
+        """With the digits that tell it: dates are large numbers that differ little."""
+        c = self.instant
+        if abs(c.value) < FINE * (c.high - c.low):
+            return with_unit(format_number(c.value, 3), c.unit)
+        value, _, _, power = rounded(c.value, c.low, c.high)
+        return with_unit(value + power, c.unit)
 
     def is_against(self, other, have_met=False):
         """Whether another body gets a velocity the other way, at an instant that may be the same.

@@ -302,16 +302,25 @@ def period(effect):
 
 
 def constant_distance(effect):
-    """A rod in plain words: "distance to (0.02, 1.61) m is constant, 0.800 m: a string or rod"."""
+    """A rod in plain words: "distance to (0.02, 1.61) m is constant, 0.800 m: a string or rod".
+
+    Its numbers are those of the constants in the end; where they are none, as it was seen.
+    """
     unit, (between, length) = effect.constants[0].unit, effect.name.rsplit(" = ", 1)
+    known = {c.name.rstrip("0123456789"): c for c in effect.constants}
+    size = with_unit(format_number(float(length), 3), unit)
+    if "L" in known:
+        size = with_unit(format_number(known["L"].value, 3), known["L"].unit)
     place = re.search(r"\(([^()]*,[^()]*)\)", between)
     if place:
-        point = ", ".join(format_number(float(x), 3) for x in place[1].split(","))
-        to = f"to ({point}) {unit}"
+        pivot = [known[name] for name in ("pivot_x", "pivot_y", "pivot_z") if name in known]
+        seen = [float(x) for x in place[1].split(",")]
+        if len(pivot) == len(seen):
+            unit, seen = pivot[0].unit, [c.value for c in pivot]
+        to = f"to ({', '.join(format_number(x, 3) for x in seen)}) {unit}"
     else:
         first, second = re.findall(r"p_(\w+)", between)
         to = f"of {first} and {second}"
-    size = with_unit(format_number(float(length), 3), unit)
     return f"distance {to} is constant, {size}: a string or rod"
 
 
@@ -319,7 +328,17 @@ def kept_curve(effect):
     """A line, curve or plane that is kept to; a curve with its equation: "y = 0.7 * x^2"."""
     if "^" not in effect.name:
         return CAUSES["wire"]
-    equation = re.sub(r"\b([xyz])_\w+", r"\1", effect.name).replace("+ -", "- ")
+    equation = re.sub(r"\b([xyz])_\w+", r"\1", effect.name)
+    left, _, right = equation.partition(" = ")
+    terms = right.split(" + ")
+    rail = [c for c in effect.constants if c.name.startswith("rail_")]
+    if len(rail) == len(terms):  # in the end, and not as it was seen
+        values = (format_number(c.value, 4).replace("−", "-") for c in rail)
+        terms = [
+            " * ".join([value, *term.split(" * ")[1:]])
+            for value, term in zip(values, terms, strict=True)
+        ]
+    equation = f"{left} = {' + '.join(terms)}".replace("+ -", "- ")
     return f"a curve that is kept to, a wire or rail: {equation}"
 
 

@@ -19,12 +19,23 @@ def effect_of(*kicks):
 
 def test_a_kick_is_told_with_its_body_size_instant_and_scene():
     values = {"w_x1": (0.6, "m/s"), "t1": (0.433, "s"), "w_y1": (-0.8, "m/s")}
-    constants = [SimpleNamespace(name=n, value=v, unit=u) for n, (v, u) in values.items()]
+    constants = [
+        SimpleNamespace(name=n, value=v, unit=u, low=v - 1e-3, high=v + 1e-3)
+        for n, (v, u) in values.items()
+    ]
     effect = SimpleNamespace(
         code="contact", name="kick red, 2[throw 1, 0.43 s]", constants=constants
     )
     told = "a kick: the velocity of red, 2 jumps by 1.0 m/s at 0.433 s in scene throw 1"
     assert kick(effect) == told
+
+
+def test_a_kick_at_a_date_is_told_to_the_day():
+    """A kick in the sky was told "at 2.13 x 10^11 s": of some years."""
+    effect = effect_of(("a", "1", 212601234567.0, 0.1))
+    instant = effect.constants[1]
+    instant.low, instant.high = instant.value - 86400.0, instant.value + 86400.0
+    assert "at 2.1260123 × 10¹¹ s" in kick(effect)
 
 
 def test_two_bodies_that_are_kicked_at_once_against_each_other_collide():

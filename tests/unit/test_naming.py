@@ -22,7 +22,9 @@ from bsp_gp.report.naming import (
     along_one_line,
     bad_rows,
     clock_jumps,
+    constant_distance,
     describe,
+    kept_curve,
     period,
 )
 from bsp_gp.report.page import _parts
@@ -341,3 +343,23 @@ def test_a_power_far_beyond_first_order_is_not_told_as_a_number():
         "Powers that the data allow (90 %): speed to another power than is written, these data do "
         "not tell which."
     )
+
+
+def numbers(unit, **values):
+    return [SimpleNamespace(name=name, value=v, unit=unit) for name, v in values.items()]
+
+
+def test_rods_and_rails_are_told_as_they_are_in_the_end():
+    """A headline had the length that was seen, far outside of the interval below it."""
+    name = "norm(p_bob - (0.6993, 0.872)) = 0.828"
+    rod = SimpleNamespace(name=name, constants=numbers("cm", pivot_x1=69.1, pivot_y1=82.5, L1=87.9))
+    told = "distance to (69.1, 82.5) cm is constant, 87.9 cm: a string or rod"
+    assert constant_distance(rod) == told
+    known = SimpleNamespace(name=name, constants=numbers("m", c1=1.0))  # nothing of it is fitted
+    told = "distance to (0.699, 0.872) m is constant, 0.828 m: a string or rod"
+    assert constant_distance(known) == told
+    rail = SimpleNamespace(
+        name="y_ball = 0.01732 + 0.004631 * x_ball + 0.7573 * x_ball^2",
+        constants=numbers("m", rail_a1=0.02, rail_b1=-0.01, rail_c1=0.7167, c1=-7.0),
+    )
+    assert kept_curve(rail).endswith(": y = 0.02000 - 0.01000 * x + 0.7167 * x^2")

@@ -7,7 +7,7 @@ import pytest
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
-from bsp_gp.fitting.periodogram import is_of_swing, longest
+from bsp_gp.fitting.periodogram import MOST_ROWS, _lesser, is_of_swing, longest
 from bsp_gp.loop.writing_up import doubt_of_periods
 from tests.swings import ROD, WEIGHT, bob
 from tests.unit.test_response import GRAVITY, thrown
@@ -65,3 +65,15 @@ def test_one_track_that_swings_at_the_rate_of_a_push_may_be_driven_back():
     turn = 2 * np.pi / 1.94
     assert is_of_swing(turn, found)
     assert not is_of_swing(4.5 * turn, found)
+
+
+def test_of_long_tracks_a_swing_is_sought_in_means_or_in_their_first_rows():
+    """A torsion balance of 61,799 rows took minutes, whatever the time limit was."""
+    times = 0.01 * np.arange(50_000)
+    slow, fast = np.sin(0.5 * times), np.sin(200.0 * times)
+    t, x = _lesser(times, slow)
+    assert len(t) <= MOST_ROWS and np.ptp(t) > 0.99 * np.ptp(times)
+    assert np.abs(x - np.sin(0.5 * t)).max() < 1e-3
+    t, x = _lesser(times, fast)
+    assert np.array_equal(x, fast[:MOST_ROWS]) and np.array_equal(t, times[:MOST_ROWS])
+    assert len(_lesser(times[:90], fast[:90])[0]) == 90
