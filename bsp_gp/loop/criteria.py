@@ -15,6 +15,7 @@ REASONS = (
     "many_causes", "own_period", "few_periods", "likelier_refused", "not_placed",
     "swamped", "slight", "at_bound", "much_left", "laboratory", "poorly_foreseen",
     "smooth_kicks", "open_powers", "odd_power", "season",
+    "passage",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
 "strength_varies": adopted as a description, since its constant is not the same everywhere;
@@ -32,7 +33,7 @@ left beside it; "laboratory": it acts along axes, or about a place, in the sky;
 not surely worse; "smooth_kicks": random kicks so slight that a force which changes smoothly is as
 likely; "open_powers": several forces of which the data do not tell a power; "odd_power": a power
 that is no multiple of a half, beside a steady push; "season": orbits of which one has the period
-of the Earth's year or day."""
+of the Earth's year or day; "passage": a velocity that jumps in the sky."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""
 STOP_REASONS = (

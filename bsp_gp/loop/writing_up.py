@@ -46,7 +46,7 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
     "likelier_refused", "at_bound", "much_left", "laboratory", "poorly_foreseen",
-    "smooth_kicks", "open_powers", "odd_power", "season",
+    "smooth_kicks", "open_powers", "odd_power", "season", "passage",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
@@ -98,7 +98,7 @@ def record_of(
         verdict, reason = "effective law", UNLISTED[unlisted.code]
     elif verdict == "effect adopted" and doubt and decision.best.kind in FORESEEING:
         verdict, reason = "effective law", doubt
-    elif verdict == "effect adopted" and (other := _own_doubt(done, effect)):
+    elif verdict == "effect adopted" and (other := _own_doubt(done, effect, dataset)):
         verdict, reason = "effective law", other
     return RoundRecord(
         number=done.number,
@@ -125,12 +125,14 @@ def record_of(
     )  # fmt: skip
 
 
-def _own_doubt(done, effect):
+def _own_doubt(done, effect, dataset):
     """Why what a round adopted only describes the tracks, by itself; "" where nothing says so."""
-    if getattr(done.proposals[done.decision.best.id], "is_smooth", False):
-        return "smooth_kicks"
-    is_series = len({e["term"] for e in effect.exponents if is_open(e)}) > 1
     best = done.decision.best
+    if getattr(done.proposals[best.id], "is_smooth", False):
+        return "smooth_kicks"
+    if best.code in KICKED and is_of_the_sky(dataset):
+        return "passage"
+    is_series = len({e["term"] for e in effect.exponents if is_open(e)}) > 1
     is_curve = best.n_pushes and has_odd_power(done.fits[best.id])
     return "open_powers" if is_series else "odd_power" if is_curve else ""
 

@@ -100,6 +100,8 @@ REASONS = {
     "lacks otherwise looks like that",
     "odd_power": "a power that is no whole or half number, and a steady push beside it, follow "
     "many a curve",
+    "passage": "it describes these tracks, but nothing in the sky is kicked: it stands for a "
+    "passage of some body, or a burn",
     "season": "a period is that of the Earth's year, half of it or its day: what these do to "
     "instruments, and to when stars are seen, comes back as a companion would",
     "held_out_disagrees": "it describes the tracks that it was found in, but what was held out "

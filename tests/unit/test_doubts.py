@@ -9,6 +9,7 @@ from bsp_gp.fitting.hypothesis import Parameter
 from bsp_gp.fitting.parts.orbits import Orbit
 from bsp_gp.loop.writing_up import (
     DAY,
+    _own_doubt,
     doubt_of_bounds,
     doubt_of_rest,
     doubt_of_seasons,
@@ -96,3 +97,16 @@ def test_a_power_that_is_surely_no_multiple_of_a_half_is_odd(power, error, is_od
         law=law, parameters=(("c1", ""), ("n1", "")), values=(1.0, power), errors=(0.1, error)
     )
     assert has_odd_power(found) is is_odd
+
+
+@pytest.mark.parametrize(("is_sky", "said"), [(True, "passage"), (False, "")])
+def test_in_the_sky_a_kick_stands_for_a_passage(is_sky, said):
+    """Of an asteroid a kick of 100 m/s was a fact, three months from when the Earth was passed."""
+    best = SimpleNamespace(id=1, code="contact", n_pushes=0)
+    done = SimpleNamespace(
+        decision=SimpleNamespace(best=best), proposals={1: SimpleNamespace()}, fits={}
+    )
+    dataset = SimpleNamespace(
+        is_of_sight=is_sky, scenes=(), units=SimpleNamespace(symbols={}, declared={"length": "m"})
+    )
+    assert _own_doubt(done, SimpleNamespace(exponents=()), dataset) == said
