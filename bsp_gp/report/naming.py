@@ -41,6 +41,8 @@ def describe(formula, value=None, other="the other body", exponents=()):
     powers = {n: power for n, power in powers.items() if n not in {e["of"] for e in loose}}
     if _OBLATE.search(to_text(formula)):
         phrase = "pull of an oblate centre (its flattening, about z)"
+    elif _SINE.search(to_text(split_linear(formula)[1])):
+        phrase = SINE
     elif split_linear(formula)[1].constants:
         phrase = _inner_phrase(direction, formula, powers, value, bool(loose))
         if value is not None and value < 0:
@@ -83,6 +85,8 @@ def is_beyond(exponent):
 
 _OBLATE = re.compile(r"norm\((p_i - \w+)\)\^-5 \* \(\(1 - 5 \* .* \* \(\1\) \+ 2 \* ")
 SWINGS = "push with a period along "
+SINE = "what drives an angle back as its sine (a weight on an arm, a pendulum)"
+_SINE = re.compile(r"^(?:m_i \* )?sin\(([xyz])_i / 1 \[rad\]\) (?:\* m_i )?\* e_\1$")
 YEAR = 0.02
 """Part of a year by which a period may differ from one to be told as a year."""
 _TURNS = r"cos\(\w+ \* (?:t|\(t - [^()]*\))\).*sin\(\w+ \* (?:t|\(t - [^()]*\))\).*"
@@ -103,8 +107,7 @@ _WHOLE = (
      "spring along {0} that hardens or softens, quadratic in its stretch"),
     (r"^(?:\w+ \* )?abs\(([xyz])_i\)\^w\d* \* sign\(\1_i\) \* e_\1$",
      "force along {0}, to a fitted power of {0}"),
-    (r"^sin\(\(([xyz])_i - \w+\) / 1 \[rad\]\) \* e_\1$",
-     "what drives an angle back as its sine (a weight on an arm, a pendulum)"),
+    (r"^sin\(\(([xyz])_i - \w+\) / 1 \[rad\]\) \* e_\1$", SINE),
     (r"^sin\(\(([xyz])_i - .* \* e_\1$", "force along {0}, as the sine of {0}"),
     (r"^(?:exp\(-|\().*\(([xyz])_i - \w+\).* \* \(\1_i - \w+\) \* e_\1$",
      "force along {0} about a place, gone a length away (a dip or a bump)"),
