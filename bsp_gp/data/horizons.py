@@ -46,7 +46,7 @@ def plain_horizons(text, path):
     above = lines[:at]
     rows = [line for line in lines[at + 1 : end] if line.strip() and line.strip("* ")]
     named = [line for line in above if line.strip("* ")]
-    body = re.search(r"Target body name:\s*(.*?)\s*(?:\(|\{|$)", "\n".join(above), re.M)
+    name = _target("\n".join(above))
     units = re.search(r"Output units\s*:\s*([\w-]+)", "\n".join(above))
     length, time = _UNITS.get(units[1] if units else "", ("", ""))
     if not (rows and named):
@@ -61,7 +61,6 @@ def plain_horizons(text, path):
         made, cells = _vectors(header, cells, length, time)
     else:
         made, cells = _seen(header, cells, path)
-    name = body[1] if body else "body"
     table = [["entity", *made], *([name, *row] for row in cells)]
     centre = _centre("\n".join(above)) if "JDTDB" in header else _SUN * ("x (au)" in made)
     if centre and centre != name:
@@ -72,6 +71,17 @@ def plain_horizons(text, path):
 
 
 _SUN = "Sun"
+
+
+def _target(above):
+    """The body that the table is of, without the designation in brackets behind its name.
+
+    What has a provisional designation alone, ``(2024 YR4)``, is called so.
+    """
+    line = re.search(r"Target body name:[ \t]*([^{\n]*)", above)
+    text = line[1].strip() if line else ""
+    name = re.sub(r"\s*\(.*", "", text) or text.strip("() ")
+    return name or "body"
 
 
 def _centre(above):

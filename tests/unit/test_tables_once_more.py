@@ -1,0 +1,34 @@
+"""Layouts of files that strangers have published: excerpts of what they have in common."""
+
+import numpy as np
+
+from bsp_gp import load_dataset
+
+T = np.arange(30) / 10
+X = np.cos(T)
+
+
+def written(tmp_path, lines, name="track.csv"):
+    path = tmp_path / name
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def rows(*columns, mark=","):
+    return [mark.join(map(str, row)) for row in zip(*columns, strict=True)]
+
+
+def horizons(name, names, body):
+    return [
+        "*" * 70, f"Target body name: {name}                 {{source: JPL#80}}",
+        "Output units    : AU-D", "*" * 70, names, "*" * 70, "$$SOE", *body, "$$EOE", "*" * 70,
+    ]  # fmt: skip
+
+
+def test_a_body_of_horizons_may_have_a_designation_in_brackets_alone(tmp_path):
+    names = "JDTDB, Calendar Date (TDB), X, Y, Z, VX, VY, VZ,"
+    body = [f"{2460000 + k}.0, A.D. 2023-Feb-24 12:00, {1 - k / 99}, {k / 9}, 0.1, 0, 0, 0,"
+            for k in range(9)]  # fmt: skip
+    for text, own in (("(2024 YR4)", "2024 YR4"), ("1543 Bourgeois (1941 S)", "1543 Bourgeois")):
+        data = load_dataset(written(tmp_path, horizons(text, names, body), "h.txt"))
+        assert data.scenes[0].names == (own,)
