@@ -1,8 +1,10 @@
 """Layouts of files that strangers have published: excerpts of what they have in common."""
 
 import numpy as np
+import pytest
 
 from bsp_gp import load_dataset
+from bsp_gp.errors import DataError
 
 T = np.arange(30) / 10
 X = np.cos(T)
@@ -32,3 +34,18 @@ def test_a_body_of_horizons_may_have_a_designation_in_brackets_alone(tmp_path):
     for text, own in (("(2024 YR4)", "2024 YR4"), ("1543 Bourgeois (1941 S)", "1543 Bourgeois")):
         data = load_dataset(written(tmp_path, horizons(text, names, body), "h.txt"))
         assert data.scenes[0].names == (own,)
+
+
+def test_what_a_telephone_has_logged_is_known_by_any_word_of_its_sensor(tmp_path):
+    header = ",seconds_elapsed,z,y,x"
+    lines = [header, *rows(range(200), np.arange(200) / 100, *([np.sin(np.arange(200) / 9)] * 3))]
+    for name in ("Acceleration_Project.csv", "ride_to_school_accelerometer.csv"):
+        data = load_dataset(written(tmp_path, lines, name))
+        assert data.velocity == "unseen"
+    with pytest.raises(DataError, match="a sensor of a telephone shows") as caught:
+        load_dataset(written(tmp_path, lines, "project.csv"))
+    assert "x=m/s^2" in caught.value.remedy
+    named = load_dataset(tmp_path / "project.csv", units={a: "m/s^2" for a in "xyz"})
+    assert named.velocity == "unseen"
+    placed = load_dataset(tmp_path / "project.csv", columns={a: a for a in "xyz"})
+    assert placed.scenes[0].positions.shape[2] == 3 and placed.velocity == "ignore"
