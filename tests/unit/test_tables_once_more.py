@@ -49,3 +49,23 @@ def test_what_a_telephone_has_logged_is_known_by_any_word_of_its_sensor(tmp_path
     assert named.velocity == "unseen"
     placed = load_dataset(tmp_path / "project.csv", columns={a: a for a in "xyz"})
     assert placed.scenes[0].positions.shape[2] == 3 and placed.velocity == "ignore"
+
+
+def test_units_that_astropy_says_above_the_table_are_those_of_its_columns(tmp_path):
+    above = [
+        "# %ECSV 1.0", "# ---", "# datatype:", "# - {name: bjd, unit: d, datatype: float64}",
+        "# - {name: rv, unit: km / s, datatype: float64, description: 'of the star, {all}'}",
+        "# - {name: rv_err, unit: !astropy.units.Unit {unit: km / s}, datatype: float64}",
+    ]  # fmt: skip
+    body = rows(2458499.5 + 7 * T, 10 * X, 0 * T + 0.1, mark=" ")
+    path = written(tmp_path, [*above, "# schema: astropy-2.0", "bjd rv rv_err", *body], "s.ecsv")
+    data = load_dataset(path)
+    np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], 10 * X)
+    assert "km / s" in str(data.units.declared)
+    assert not any("has no unit" in note for note in data.notes)
+    places = ["# %ECSV 0.9", "# ---", "# delimiter: ','", "# datatype:",
+              "# - {name: t, unit: ms, datatype: float64}",
+              "# - {name: x, unit: cm, datatype: float64}", "t,x"]  # fmt: skip
+    data = load_dataset(written(tmp_path, [*places, *rows(T, X)], "p.ecsv"))
+    np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], X / 100)
+    np.testing.assert_allclose(data.scenes[0].times, T / 1000)
