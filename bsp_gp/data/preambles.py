@@ -4,7 +4,7 @@ Layouts are those of the programs' own documentation: the TRC files of Motion An
 the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
 loggers, the enhanced CSV of Astropy, LabVIEW's measurement files, the texts of Leybold's CASSY Lab,
 measures of double stars as the US Naval Observatory mails them, sentences of NMEA 0183
-(`bsp_gp.data.gps`), and tables of JPL Horizons
+(`bsp_gp.data.gps`), orbits in SP3 (`bsp_gp.data.sp3`), and tables of JPL Horizons
 (`bsp_gp.data.horizons`).
 """
 
@@ -13,6 +13,8 @@ import re
 
 from bsp_gp.data.gps import NMEA, of_nmea
 from bsp_gp.data.horizons import plain_horizons
+from bsp_gp.data.sp3 import HEADS as OF_SP3
+from bsp_gp.data.sp3 import of_sp3
 from bsp_gp.errors import DataError
 
 _AXES = ("X", "Y", "Z")
@@ -251,7 +253,7 @@ _KNOWN = {
     "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
     "NO_OF_FRAMES": _qualisys, "FILE_VERSION": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy,
     "CCSDS_OEM_VERS": _ephemeris_message, "LabVIEW Measurement": _labview,
-    "USNO Double Star": _washington, "# %ECSV": _ecsv,
+    "USNO Double Star": _washington, "# %ECSV": _ecsv, **dict.fromkeys(OF_SP3, of_sp3),
     'comment,"OptiTrack Export': _tracking_tools, **dict.fromkeys(NMEA, of_nmea),
     **dict.fromkeys(
         ("API", "Ephemeris", "JPL", "{", "*" * 10, "@ " + "*" * 8, "# " + "*" * 8), plain_horizons

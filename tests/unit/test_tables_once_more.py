@@ -69,3 +69,23 @@ def test_units_that_astropy_says_above_the_table_are_those_of_its_columns(tmp_pa
     data = load_dataset(written(tmp_path, [*places, *rows(T, X)], "p.ecsv"))
     np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], X / 100)
     np.testing.assert_allclose(data.scenes[0].times, T / 1000)
+
+
+def test_orbits_in_sp3_are_turned_back_about_the_earth(tmp_path):
+    """A satellite that keeps its place over the ground goes round once in a day."""
+    lines = ["#cP2017  2 14  0  0  0.00000000       2 ORBIT IGS14 HLM  IGS",
+             "## 1936 172800.00000000   900.00000000 57798 0.0000000000000", "+    2   G01G02"]
+    for k in range(24):
+        lines += [f"*  2017  2 14 {k:2d}  0  0.00000000",
+                  "PG01  42164.000000      0.000000      0.000000     49.177035  7  6  8 122",
+                  "PG02      0.000000      0.000000      0.000000 999999.999999"]  # fmt: skip
+    data = load_dataset(written(tmp_path, [*lines, "EOF"], "orbits.sp3"))
+    (scene,) = data.scenes
+    assert scene.names == ("Earth", "G01")
+    places = scene.positions[:, 1]
+    np.testing.assert_allclose(np.linalg.norm(places, axis=1), 4.2164e7)
+    np.testing.assert_allclose(np.ptp(np.unwrap(np.arctan2(places[:, 1], places[:, 0]))),
+                               7.292115e-5 * 23 * 3600, rtol=1e-6)  # fmt: skip
+    assert any("turn with the Earth" in note for note in data.notes)
+    comment = ["#cPlaces", "t,x", *rows(T, X)]
+    assert len(load_dataset(written(tmp_path, comment)).scenes[0].times) == 30
