@@ -22,7 +22,7 @@ from bsp_gp.data.polar_words import (
     is_position_angle,
 )
 from bsp_gp.data.scene import PROPERTY_UNITS
-from bsp_gp.data.sky import HOURS, SKY_COLUMNS, is_sky
+from bsp_gp.data.sky import HOURS, SKY_COLUMNS, SKY_NUMBERS, is_sky
 from bsp_gp.data.words import apart, folded, plain_signs, word_set, words_for
 from bsp_gp.errors import in_python
 from bsp_gp.units import ACCELERATION, ANGLES, GRAVITIES, OF_THE_SKY, Unit
@@ -145,6 +145,8 @@ _SHORT_BESIDE = word_set(
     "pres press baro hum rh hpa kpa mbar temp tmp lux volt amp amps bat batt vbat vcc co2 ppm"
 )
 """The same in short, where a heading is nothing else but a letter and a number."""
+_FAR_WORDS = word_set("distance dist delta range abstand entfernung distanz distancia distanza")
+"""Beside places in the sky: how far that is."""
 _PROCESSED_WORDS = word_set(
     "raw smooth smoothed filtered filter pixel pixels px image screen offset min max mean average"
     " center centre target roh geglättet origin scale old new next previous prev"
@@ -252,7 +254,7 @@ class Heading:
 
 def number_columns(names):
     """Columns that hold numbers in a table with these columns, a tuple of str."""
-    more = POLAR_COLUMNS if is_polar(names) else ("sra", "sdec") if is_sky(names) else ()
+    more = POLAR_COLUMNS if is_polar(names) else SKY_NUMBERS if is_sky(names) else ()
     return NUMBER_COLUMNS + more
 
 
@@ -403,6 +405,7 @@ def headings(cells, rename=None, *, is_track=True):
         found = _with_counted_places(_with_angles(found))
         found = _with_dates(found)
         found = _without_courses([_guessed(h, {f.name for f in found}) for h in found])
+        found = _with_far_on_sky(found)
         found = _with_errors(_with_clock(found))
     return tuple(_settled(found))
 
@@ -494,6 +497,21 @@ def _with_clock(found):
     if len(clocks) != 1 or any(h.name in ("t", "frame") for h in found):
         return found
     return [replace(h, name="t", sure=GUESS) if h is clocks[0] else h for h in found]
+
+
+def _with_far_on_sky(found):
+    """Beside right ascension and declination: how far it is, and no place of its own."""
+    is_placed = any(h.name in _PLACES and (h.sure < GUESS or h.is_renamed) for h in found)
+    if not is_sky(h.name for h in found if h.name not in _PLACES) or is_placed:
+        return found
+    far = [
+        h for h in found
+        if not (h.is_renamed or h.ignored) and words_of(h.stem or h.name) <= _FAR_WORDS
+        and (not h.unit or unit_of(h.unit) == _LENGTH) and h.unit not in OF_THE_SKY
+    ]  # fmt: skip
+    if len(far) != 1 or any(h.name == "distance" for h in found if h not in far):
+        return found
+    return [replace(h, name="distance", sure=GUESS) if h is far[0] else h for h in found]
 
 
 def is_height(heading):

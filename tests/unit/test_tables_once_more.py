@@ -89,3 +89,37 @@ def test_orbits_in_sp3_are_turned_back_about_the_earth(tmp_path):
     assert any("turn with the Earth" in note for note in data.notes)
     comment = ["#cPlaces", "t,x", *rows(T, X)]
     assert len(load_dataset(written(tmp_path, comment)).scenes[0].times) == 30
+
+
+def test_places_in_the_sky_with_a_distance_are_places_in_space(tmp_path):
+    """The distance is no motion on a line; one that is the same in all rows says nothing."""
+    turn, far = np.arange(30) / 20, 5 + X / 9
+    lines = ["Date,JD,RA (deg),DEC (deg),Dist_AU",
+             *rows([f"2023-Jan-{k + 1:02d} 00:00" for k in range(30)], 2459957.5 + np.arange(30),
+                   np.degrees(turn), 0 * turn + 30, far)]  # fmt: skip
+    data = load_dataset(written(tmp_path, lines))
+    au = 149_597_870_700.0
+    places = data.scenes[0].positions[:, 0] / au
+    flat = far * np.cos(np.radians(30))
+    expected = np.stack([flat * np.cos(turn), flat * np.sin(turn), far / 2], axis=1)
+    np.testing.assert_allclose(places, expected)
+    assert any("places x, y and z in space" in note for note in data.notes)
+    near = ["t (day),ra (deg),dec (deg),distance (pc)",
+            *rows(T, 10 + X / 100, T / 100, 0 * T + 7)]  # fmt: skip
+    data = load_dataset(written(tmp_path, near))
+    assert data.scenes[0].n_dims == 2 and any("not used: distance" in n for n in data.notes)
+
+
+def test_observer_tables_of_horizons_with_a_distance_are_places_in_space(tmp_path):
+    names = " Date__(UT)__HR:MN     R.A._____(ICRF)_____DEC             delta      deldot"
+    body = [f" 2022-Sep-{k:02d} 00:00     {k:02d} 00 00.00 +00 00 00.0  2.00000000000000 -34.766"
+            for k in range(1, 20)]  # fmt: skip
+    body[3] = body[3].replace("2.000", "2.100")
+    data = load_dataset(written(tmp_path, horizons("(2024 YR4)", names, body), "h.txt"))
+    far = np.linalg.norm(data.scenes[0].positions[:, 0], axis=1) / 149_597_870_700.0
+    np.testing.assert_allclose(far, [2.1 if k == 3 else 2 for k in range(19)])
+    bare = [line.partition("  2.")[0] for line in body]
+    alone = names.partition("   delta")[0].rstrip()
+    with pytest.raises(DataError, match="degrees from the middle") as caught:
+        load_dataset(written(tmp_path, horizons("(2024 YR4)", alone, bare), "h.txt"))
+    assert "vector table" in caught.value.remedy
