@@ -204,7 +204,7 @@ def long_table(
         file=str(file), digest=digest, title=title or None, decimal=decimal,
         notes=(*notes, *filter(None, [told(found)])),
         theirs={f"{h.name} of {h.body}" if h.body else h.name: h.theirs
-                for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN},
+                for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN and h.name},
         present=tuple(h.theirs for h in found if h.theirs), up="y" if is_upright else None,
         unused=unused, untimed=untimed, is_dated=dated,
     )  # fmt: skip

@@ -407,7 +407,7 @@ def headings(cells, rename=None, *, is_track=True):
         found = _without_courses([_guessed(h, {f.name for f in found}) for h in found])
         found = _with_far_on_sky(found)
         found = _with_errors(_with_clock(found))
-    return tuple(_settled(found))
+    return tuple(_settled(_with_one_unit(found) if is_track else found))
 
 
 def _with_glued_places(found):
@@ -950,6 +950,21 @@ def _without_place_words(text):
     return text if mark is None else f"{match[1]} {mark}{match[2]}"
 
 
+def _with_one_unit(found):
+    """Of a velocity that is there in several units, ``vz (ft/s), vz (m/s)``, the first or that which is named."""
+    own = {}
+    for h in found:
+        if h.sure == LITERAL and h.name[:1] == "v":
+            own.setdefault((h.owner, h.name), []).append(h)
+    again = set()
+    for alike in own.values():
+        units = {h.unit for h in alike}
+        if len(units) == len(alike) > 1 and len(set(map(unit_of, units))) == 1:
+            kept = next((h for h in alike if h.is_renamed), alike[0])
+            again |= {id(h) for h in alike if h is not kept}
+    return [replace(h, name="", ignored=h.theirs) if id(h) in again else h for h in found]
+
+
 def _settled(found):
     """Of several columns of one owner that may be the same, the plainest is it.
 
@@ -991,7 +1006,7 @@ def _is_in_first_unit(heading, found):
 
 def told(found):
     """A note of what was guessed, empty without; and which option names another."""
-    guessed = [h for h in reversed(found) if h.sure == GUESS and not h.is_renamed]
+    guessed = [h for h in reversed(found) if h.sure == GUESS and h.name and not h.is_renamed]
     guesses = list({(h.name, h.body): h for h in guessed}.values())[::-1]
     if not guesses:
         return ""

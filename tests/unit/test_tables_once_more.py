@@ -123,3 +123,18 @@ def test_observer_tables_of_horizons_with_a_distance_are_places_in_space(tmp_pat
     with pytest.raises(DataError, match="degrees from the middle") as caught:
         load_dataset(written(tmp_path, horizons("(2024 YR4)", alone, bare), "h.txt"))
     assert "vector table" in caught.value.remedy
+
+
+def test_a_velocity_in_two_units_is_one_and_so_is_a_height(tmp_path):
+    speed = 10 - 9.81 * T
+    height = 50 + 10 * T - 9.81 * T**2 / 2
+    lines = ["t(s),alt(ft),vz(ft/s),alt(m),vz(m/s)",
+             *rows(T, height / 0.3048, speed / 0.3048, height, speed)]  # fmt: skip
+    data = load_dataset(written(tmp_path, lines))
+    np.testing.assert_allclose(data.scenes[0].positions[:, 0, 1], height)
+    assert "= 'alt(m)'" not in data.provenance["columns"]
+    assert not any(" as ;" in note or "as ," in note for note in data.notes)
+    lines[0] = "t(s),x(px),y,x(m),vz(m/s)"
+    with pytest.raises(DataError, match="'x' twice .x.px., x.m.") as caught:
+        load_dataset(written(tmp_path, lines))
+    assert 'x(m)"=ignore' in caught.value.remedy
