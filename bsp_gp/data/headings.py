@@ -951,7 +951,7 @@ def _without_place_words(text):
 
 
 def _with_one_unit(found):
-    """Of a velocity that is there in several units, ``vz (ft/s), vz (m/s)``, the first or that which is named."""
+    """Of a velocity in several units, ``vz (ft/s), vz (m/s)``, the first, or the one named."""
     own = {}
     for h in found:
         if h.sure == LITERAL and h.name[:1] == "v":
