@@ -73,6 +73,10 @@ _GLUED_PLACE = re.compile(
 """A place in one word, ``px`` of robots, ``cx`` of centres, ``tx`` of translations, ``xpos``."""
 _LABELLED = re.compile(r"(.+?)[\s_.:-]+([xyz])[\s_.-]+([^\W\d]+)", re.IGNORECASE)
 """A body, its axis, and what of it: ``Objekt 1 x-Koordinate``."""
+_OF_WHOM = re.compile(r"([xyz])[\s_.-]+([^\W\d]+)\s+(?:for|of|von|de|du|di|del|da)\s+(\S.*)", re.I)
+"""An axis, what of it, and whose: ``x-coordinate for point mass 1``."""
+_PRECISION = re.compile(r"(.*\S)\s*[(\[]\s*(?:±|\+/-|\+-)\s*[\d.,]+[^()\[\]]*[)\]]")
+"""How sure a column is, behind its name: ``Time (s) (± 0.01 s)``."""
 _BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECASE)
 
 
@@ -392,10 +396,10 @@ def headings(cells, rename=None, *, is_track=True):
     is_track : bool
         Whether it is a table of positions, in which words may be guessed.
     """
-    cells = [_TEX.sub("", str(cell).strip().strip('"').strip()) for cell in cells]
-    ignored = [k.strip() for k, v in (rename or {}).items() if is_ignored(v, cells)]
-    back = {_TEX.sub("", v.strip()): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()
-            if k.strip() not in ignored}  # fmt: skip
+    cells = [one_blank(_TEX.sub("", str(cell).strip().strip('"').strip())) for cell in cells]
+    ignored = [one_blank(k) for k, v in (rename or {}).items() if is_ignored(v, cells)]
+    back = {one_blank(_TEX.sub("", v)): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()
+            if one_blank(k) not in ignored}  # fmt: skip
     back = _of_every_run(back) if is_track else back
     found = [_read(cell, back, is_track, ignored) for cell in cells]
     if is_track:
@@ -408,6 +412,11 @@ def headings(cells, rename=None, *, is_track=True):
         found = _with_far_on_sky(found)
         found = _with_errors(_with_clock(found))
     return tuple(_settled(_with_one_unit(found) if is_track else found))
+
+
+def one_blank(text):
+    """A name of a column with one blank where there are more, as it is told."""
+    return " ".join(text.split())
 
 
 def _with_glued_places(found):
@@ -528,6 +537,8 @@ def is_ignored(text, cells):
 def _read(cell, back, is_track, ignored=()):
     """A heading by its own words, without guesses."""
     plain = plain_signs(cell)
+    if is_track and cell not in back and (match := _PRECISION.fullmatch(plain)):
+        plain = match[1]
     run, rest = _run_of(plain) if is_track else ("", plain)
     if cell in back:
         run, rest = "", rest if is_run(run) else cell
@@ -937,17 +948,20 @@ def _of_body(heading):
 def _without_place_words(text):
     """``Objekt 1 x-Koordinate`` as ``Objekt 1 x``, and ``ball x velocity`` as ``ball vx``.
 
-    A place in one word with whose it is, ``cartPos``, is that along a line.
+    A place in one word with whose it is, ``cartPos``, is that along a line; of ``x-coordinate of
+    mass 1`` the body stands behind.
     """
     match = _CAMEL.fullmatch(text)
     if match and folded(match[2]) in _PLACE_WORDS:
         return f"{match[1]} x"
-    match = _LABELLED.fullmatch(text)
-    if not match or not re.search(r"\w", match[1]):
+    label = _LABELLED.fullmatch(text)
+    whose = None if label else _OF_WHOM.fullmatch(text)
+    body, axis, word = label.groups() if label else whose.group(3, 1, 2) if whose else [""] * 3
+    if not re.search(r"\w", body):
         return text
-    word = folded(match[3])
+    word = folded(word)
     mark = "" if word in _PLACE_WORDS else "v" if word in _SPEED_WORDS else None
-    return text if mark is None else f"{match[1]} {mark}{match[2]}"
+    return text if mark is None else f"{body} {mark}{axis}"
 
 
 def _with_one_unit(found):

@@ -34,7 +34,14 @@ from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
-from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
+from bsp_gp.data.headings import (
+    bodies_beside,
+    headings,
+    is_angle,
+    is_angle_name,
+    is_ignored,
+    one_blank,
+)
 from bsp_gp.data.horizons import without_header
 from bsp_gp.data.logged import named_of
 from bsp_gp.data.meeting import without_meetings
@@ -518,7 +525,7 @@ def _with_their_names(table, declaration):
     taken = {*table.frame.columns, *KINDS}
     ours = ours if "t" in taken or "time" in declaration.units else {**ours, "t": "time"}
     return dataclasses.replace(declaration, units={
-        ours.get(name, name) if name not in taken else name: unit
+        ours.get(one_blank(name), name) if name not in taken else name: unit
         for name, unit in declaration.units.items()
     })  # fmt: skip
 

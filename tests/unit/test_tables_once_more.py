@@ -138,3 +138,21 @@ def test_a_velocity_in_two_units_is_one_and_so_is_a_height(tmp_path):
     with pytest.raises(DataError, match="'x' twice .x.px., x.m.") as caught:
         load_dataset(written(tmp_path, lines))
     assert 'x(m)"=ignore' in caught.value.remedy
+
+
+def test_bodies_behind_their_axes_and_precisions_in_brackets(tmp_path):
+    header = "\t".join([
+        "Time (seconds) (± 0.0083s)", "x-coordinate for mass 1 (meters)  (± 0.0025m)",
+        "y-coordinate for mass 1 (meters) (± 0.0025m)", "x velocity of mass 1 (m/s)",
+        "x-coordinate for mass 2 (meters)  (± 0.0025m)",
+        "y-coordinate for mass 2 (meters) (± 0.0025m)",
+    ])  # fmt: skip
+    path = written(tmp_path, [header, *rows(T, X, X**2, T, X / 2, X**3, mark="\t")])
+    data = load_dataset(path)
+    assert data.scenes[0].names == ("mass 1", "mass 2")
+    np.testing.assert_allclose(data.scenes[0].positions[:, 1, 0], X / 2)
+    assert {data.units.declared["time"], data.units.declared["length"]} <= {"seconds", "s", "m"}
+    for blanks in (" ", "  "):
+        name = f"x-coordinate for mass 1 (meters){blanks}(± 0.0025m)"
+        (scene,) = load_dataset(path, columns={"y": name}).scenes
+        np.testing.assert_allclose(scene.positions[:, 0, 1], X)
