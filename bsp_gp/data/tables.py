@@ -55,6 +55,7 @@ from bsp_gp.data.records import told_of_record
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, Dataset, Entity
 from bsp_gp.data.several import joined, tables_of
+from bsp_gp.data.sight import instead_of_places
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_named_dates, with_primary
 from bsp_gp.data.still import held_still
@@ -347,6 +348,7 @@ def _assemble(table, roster, declaration, default_name):
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
     table = without_header(_since_1970(table, declaration.units), declaration)
     table = _dates_as_declared(table, declaration.units)
+    table = instead_of_places(table, declaration)
     table, declaration, is_star = read_stars(with_named_dates(table, declaration), declaration)
     declaration = _with_their_names(table, declaration)
     declaration, input_notes = _with_inputs(table, declaration)

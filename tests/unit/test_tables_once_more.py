@@ -156,3 +156,21 @@ def test_bodies_behind_their_axes_and_precisions_in_brackets(tmp_path):
         name = f"x-coordinate for mass 1 (meters){blanks}(± 0.0025m)"
         (scene,) = load_dataset(path, columns={"y": name}).scenes
         np.testing.assert_allclose(scene.positions[:, 0, 1], X)
+
+
+def test_velocities_of_a_star_that_are_named_are_read_beside_places_of_its_companion(tmp_path):
+    lines = ["epoch,object,sep,sep_err,pa,pa_err,rv,rv_err",
+             *(f"{56900 + 90 * k},1,606.5,7.0,{180 + k},0.6,," for k in range(3)),
+             *(f"{50000 + 37 * k},0,,,,,{0.3 * X[k]},0.002" for k in range(30))]  # fmt: skip
+    path = written(tmp_path, lines)
+    data = load_dataset(path)
+    assert len(data.scenes[0].times) == 3
+    told = [note for note in data.notes if "velocities along the line of sight" in note]
+    assert "check" in told[0] and "30" in told[0]
+    columns = {"rv": "rv", "srv": "rv_err", "t": "epoch"}
+    data = load_dataset(path, columns=columns)
+    assert data.velocity == "sight" and len(data.scenes[0].times) == 30
+    np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], 0.3 * X)
+    assert any("not used, since velocities are named: sep" in note for note in data.notes)
+    with pytest.raises(DataError, match="not read at once"):
+        load_dataset(path, columns={**columns, "separation": "sep", "position_angle": "pa"})
