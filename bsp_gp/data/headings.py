@@ -267,6 +267,11 @@ def is_frame_name(text):
     return _guess(text) == "frame"
 
 
+def is_run_column(text):
+    """Whether a heading may tell recordings apart."""
+    return _guess(text) == "scene"
+
+
 def is_run(text):
     """Whether `text` is the name of a run, such as ``Run #1``."""
     return _RUN_NAME.fullmatch(folded(text.strip())) is not None

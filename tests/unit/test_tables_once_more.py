@@ -1,6 +1,7 @@
 """Layouts of files that strangers have published: excerpts of what they have in common."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from bsp_gp import load_dataset
@@ -174,3 +175,18 @@ def test_velocities_of_a_star_that_are_named_are_read_beside_places_of_its_compa
     assert any("not used, since velocities are named: sep" in note for note in data.notes)
     with pytest.raises(DataError, match="not read at once"):
         load_dataset(path, columns={**columns, "separation": "sep", "position_angle": "pa"})
+
+
+def test_several_recordings_in_each_sheet_are_told_apart_by_both(tmp_path):
+    pytest.importorskip("openpyxl")
+    drops = pd.DataFrame({"Drop #": np.repeat([1, 2], 30), "Time (s)": np.tile(T, 2),
+                          "Height (m)": np.tile(X, 2)})  # fmt: skip
+    for heading in ("Drop #", "Which"):
+        path = tmp_path / f"{heading[0]}.xlsx"
+        with pd.ExcelWriter(path) as book:
+            for name in ("ball", "cup"):
+                own = drops.rename(columns={"Drop #": heading})
+                own.to_excel(book, sheet_name=name, index=False)
+        data = load_dataset(path, columns={} if heading == "Drop #" else {"scene": heading})
+        assert [s.name for s in data.scenes] == ["ball 1", "ball 2", "cup 1", "cup 2"]
+        assert not any("not used" in note for note in data.notes)
