@@ -29,6 +29,7 @@ from bsp_gp.data.assembly import (
 )
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, Conversion, ratio_of
+from bsp_gp.data.counted import with_counted_angles
 from bsp_gp.data.dates import since_1970
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.extent import spans_the_sky
@@ -351,6 +352,7 @@ def _assemble(table, roster, declaration, default_name):
     table = instead_of_places(table, declaration)
     table, declaration, is_star = read_stars(with_named_dates(table, declaration), declaration)
     declaration = _with_their_names(table, declaration)
+    table, declaration = with_counted_angles(table, declaration)
     declaration, input_notes = _with_inputs(table, declaration)
     table = from_maps(table, declaration)
     table, declaration = from_rates(table, declaration)
@@ -608,7 +610,8 @@ def _with_angles(table, declaration):
         clock = "" if known & {"t", "time"} else " t=s"
         raise DataError(
             f"{theirs!r} is an angle in an unknown unit", file=table.file, column=theirs,
-            remedy=f"declare it: --units {quoted(theirs)}=rad{clock}, or {quoted(theirs)}=deg",
+            remedy=f"declare it: --units {quoted(theirs)}=rad{clock}, or {quoted(theirs)}=deg, or "
+            f"of counts of an encoder what one is, {quoted(theirs)}=rev/4000",
         )  # fmt: skip
     if not own or "x" not in table.frame:
         return declaration

@@ -190,3 +190,19 @@ def test_several_recordings_in_each_sheet_are_told_apart_by_both(tmp_path):
         data = load_dataset(path, columns={} if heading == "Drop #" else {"scene": heading})
         assert [s.name for s in data.scenes] == ["ball 1", "ball 2", "cup 1", "cup 2"]
         assert not any("not used" in note for note in data.notes)
+
+
+def test_angles_in_counts_of_an_encoder(tmp_path):
+    path = written(tmp_path, ["time_us,angle", *rows(range(0, 300_000, 10_000), range(30))])
+    for unit in ("0.09 deg", "rev/4000", "2 turns / 8000"):
+        data = load_dataset(path, units={"angle": unit, "time": "us"})
+        assert data.units.is_angle
+        np.testing.assert_allclose(data.scenes[0].positions[:, 0, 0], np.pi / 2000 * np.arange(30))
+    with pytest.raises(DataError, match="unknown unit") as caught:
+        load_dataset(path)
+    assert "angle=rev/4000" in caught.value.remedy
+    several = written(tmp_path, ["t (s),theta1,theta2", *rows(T, range(30), range(30))])
+    data = load_dataset(several, units={"theta": "rev/4000"})
+    assert data.units.is_angle and data.scenes[0].positions[-1, 1, 0] == pytest.approx(
+        29 * np.pi / 2000
+    )
