@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.apart import below_each_other, recordings_apart
+from bsp_gp.data.apart import below_each_other, may_be_below, recordings_apart
 from bsp_gp.data.assembly import (
     along_named_axis,
     axes_of,
@@ -393,6 +393,7 @@ def _assemble(table, roster, declaration, default_name):
     rows, twice = measures_at_once(rows)
     rows, slips = without_slips(rows)
     rows, held = without_held(rows)
+    again = () if conversion.system.is_angle else may_be_below(rows)
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     rows, met = without_meetings(rows) if roster is None else (rows, ())
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
@@ -418,6 +419,7 @@ def _assemble(table, roster, declaration, default_name):
         *twice,
         *slips,
         *held,
+        *again,
         *apart,
         *met,
         *still,

@@ -206,3 +206,17 @@ def test_angles_in_counts_of_an_encoder(tmp_path):
     assert data.units.is_angle and data.scenes[0].positions[-1, 1, 0] == pytest.approx(
         29 * np.pi / 2000
     )
+
+
+def test_a_column_that_goes_up_over_the_whole_file_is_proposed_as_the_clock(tmp_path):
+    """Places fall back behind the lines from which a table without names is known."""
+    fall = np.cumsum(1 + np.arange(80) / 40)
+    frames = np.concatenate([start + np.arange(80) for start in (652, 974, 1262)])
+    frames[5:] += 4  # some are lost
+    path = written(tmp_path, rows(np.round(np.concatenate([fall, fall + 9, fall]), 3), frames))
+    with pytest.raises(DataError, match="'2' increases from row to row") as caught:
+        load_dataset(path)
+    assert "--columns t=2 x=1" in caught.value.remedy
+    data = load_dataset(path, columns={"t": "2", "x": "1"})
+    (told,) = [note for note in data.notes if "below each other" in note]
+    assert "81, 161" in told
