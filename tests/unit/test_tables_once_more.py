@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from bsp_gp import load_dataset
+from bsp_gp.data.noise import estimate_noise
 from bsp_gp.errors import DataError
 
 T = np.arange(30) / 10
@@ -220,3 +221,22 @@ def test_a_column_that_goes_up_over_the_whole_file_is_proposed_as_the_clock(tmp_
     data = load_dataset(path, columns={"t": "2", "x": "1"})
     (told,) = [note for note in data.notes if "below each other" in note]
     assert "81, 161" in told
+
+
+def test_few_whole_pixels_that_come_back_are_a_grid(tmp_path):
+    rng = np.random.default_rng(1)
+    y = 550 + 2 * (np.cumsum(rng.random(300) < 0.2) % 3)
+    x = np.round(400 * np.cos(np.arange(300) / 20) + rng.normal(0, 0.4, 300))
+    data = load_dataset(written(tmp_path, ["t,x,y", *rows(np.arange(300) / 25, x, y)]))
+    assert estimate_noise(data).sigma[1] >= 2 / np.sqrt(12)
+
+
+def test_places_that_are_held_between_fixes_have_the_noise_of_these(tmp_path):
+    """The height is new in each row, so that no row as a whole is held."""
+    rng = np.random.default_rng(1)
+    t = np.arange(600) / 100
+    fixes = 100 * np.sin(t[::10] / 3) + rng.normal(0, 0.2, 60)
+    x = np.repeat(fixes, 10) * (1 + 1e-13 * rng.normal(size=600))
+    lines = ["t (s),x (m),y (m)", *rows(t, map(repr, x.tolist()), 40 * t - 4.9 * t**2)]
+    sigma = estimate_noise(load_dataset(written(tmp_path, lines))).sigma
+    assert 0.1 < sigma[0] < 0.4
