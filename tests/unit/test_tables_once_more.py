@@ -240,3 +240,13 @@ def test_places_that_are_held_between_fixes_have_the_noise_of_these(tmp_path):
     lines = ["t (s),x (m),y (m)", *rows(t, map(repr, x.tolist()), 40 * t - 4.9 * t**2)]
     sigma = estimate_noise(load_dataset(written(tmp_path, lines))).sigma
     assert 0.1 < sigma[0] < 0.4
+
+
+def test_counts_of_an_encoder_at_a_slow_place_are_no_held_readings(tmp_path):
+    """Numbers with as many digits each lie on no grid; the larger of them do."""
+    t = np.arange(2000) / 40
+    counts = 1.2126e-4 * np.round(0.03 * np.cos(t / 2) / 1.2126e-4)
+    texts = [f"{c:.4f}" if abs(c) >= 1e-3 else f"{c:.4E}" for c in counts]
+    data = load_dataset(written(tmp_path, ["t (s),x (m)", *rows(t, texts)]))
+    assert len(data.scenes[0].times) == 2000
+    assert not any("hold the place" in note for note in data.notes)
