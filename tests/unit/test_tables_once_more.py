@@ -250,3 +250,19 @@ def test_counts_of_an_encoder_at_a_slow_place_are_no_held_readings(tmp_path):
     data = load_dataset(written(tmp_path, ["t (s),x (m)", *rows(t, texts)]))
     assert len(data.scenes[0].times) == 2000
     assert not any("hold the place" in note for note in data.notes)
+
+
+def test_a_lift_that_goes_twice_does_not_swing(tmp_path):
+    rng = np.random.default_rng(1)
+    t = np.arange(0, 52, 0.01)
+    pushed = 0 * t
+    for start, sign in ((12, 1), (18, -1), (35, 1), (41, -1)):
+        pushed += sign * 0.85 * ((t > start) & (t < start + 2.5))
+    shown = pushed - 0.03 + rng.normal(0, 0.02, len(t))
+    lines = ["t (s),Linear Acceleration z (m/s^2)", *rows(t, shown)]
+    places = load_dataset(written(tmp_path, lines)).scenes[0].positions[:, 0, 0]
+    assert np.ptp(places) == pytest.approx(2 * 0.85 * 2.5 * 6, rel=0.1)
+    swung = np.cos(2 * np.pi * t / 4) * np.exp(-t / 40) + rng.normal(0, 0.02, len(t))
+    lines = ["t (s),Linear Acceleration z (m/s^2)", *rows(t, swung)]
+    places = load_dataset(written(tmp_path, lines)).scenes[0].positions[:, 0, 0]
+    assert np.ptp(places) < 2.5 * (4 / 2 / np.pi) ** 2
