@@ -144,8 +144,7 @@ def estimate_noise(data):
         elif declared is not None:
             value, source, how = declared[axis % len(declared)], "declared", "as declared"
         else:
-            is_held = not (steps[axis] or _summing(data)[1])
-            own = [_fixes(*track) for track in tracks[axis]] if is_held else tracks[axis]
+            own = _of_fixes(tracks[axis], steps[axis], data)
             value, order, n_effective = _from_differences(own)
             source, how = "estimated", f"differences of order {order}"
             if steps[axis] > value:
@@ -231,6 +230,14 @@ def _length_told(data):
     if text and not text[0].isdigit() and data.units.is_calibrated(metre):
         return parse_unit(text)[0], f" {text}"
     return 1.0, f" {data.units.text(metre)}"
+
+
+def _of_fixes(tracks, step, data):
+    """Tracks of fixes alone, unless places lie on a grid, where what hardly moves is held as well.
+
+    What is added to sums from row to row stays as it is.
+    """
+    return tracks if step or _summing(data)[1] else [_fixes(*track) for track in tracks]
 
 
 def _fixes(times, x):
