@@ -13,10 +13,14 @@ import numpy as np
 from bsp_gp.data.notes import listed
 from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK
+from bsp_gp.errors import in_python
 
 LEAST_PART, NEAR_START = 8, 2.0
 """Rows of what is a recording of its own below a clock that begins anew, and usual steps by which
 its first time may differ from that of the file."""
+NEAR_HOME, LEAP, LEAST_BACK = 0.1, 0.5, 2
+"""Parts of all that a body moves: within which it is back at its beginning, and over which it
+leaps; how often it is back so where recordings may stand below each other."""
 MAX_NAMES = 3
 """Bodies that the name of a scene tells, and scenes that a note lists times four."""
 
@@ -53,6 +57,28 @@ def _begins_as(times, first):
         return False
     steps = np.diff(times)
     return bool((steps > 0).all() and abs(times[0] - first) <= NEAR_START * np.median(steps))
+
+
+def may_be_below(rows):
+    """A check where a lone body is back at its beginning time and again, each time after a gap."""
+    if len(rows.entity_names) > 1 or len(rows.scene_names) > 1:
+        return ()
+    order = np.argsort(rows.times, kind="stable")
+    places, gaps = rows.positions[order], np.diff(rows.times[order])
+    size = float(np.linalg.norm(np.ptp(places, axis=0)))
+    if len(gaps) < LEAST_PART or not size > 0:
+        return ()
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    home = np.linalg.norm(places[1:] - places[0], axis=1) < NEAR_HOME * size
+    is_back = home & (steps > LEAP * size) & (gaps > NEAR_START * np.median(gaps))
+    if is_back.sum() < LEAST_BACK or np.quantile(steps, 0.9) > LEAP * size:
+        return ()
+    lines = listed(rows.lines[order][1:][is_back].tolist(), 4 * MAX_NAMES)
+    return (in_python(
+        f"{CHECK}after gaps the body is back where it began, in line {lines}: these may be "
+        "recordings below each other; a column that tells them apart makes them scenes, "
+        "--columns scene=COLUMN"
+    ),)  # fmt: skip
 
 
 def recordings_apart(rows, roster, has_scenes):

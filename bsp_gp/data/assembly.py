@@ -312,22 +312,30 @@ EVEN = 0.1
 
 
 def _require_right_clock(table, axes):
-    """DataError where times go back again and again, and what is read as a place is a clock."""
+    """DataError where times go back again and again, and what is read as a place is a clock.
+
+    Of columns without names, which are read in their order, one that increases over the whole file
+    is one as well, however unevenly, where that of the times falls back anywhere.
+    """
     columns = set(map(str, table.frame.columns))
     if "t" not in columns or {"scene", "entity"} & columns:
         return
-    times = np.diff(numbers_of(table, "t"))
-    if (times <= 0).mean() <= MOST_SLIPS or not len(times):
+    times, is_bare = np.diff(numbers_of(table, "t")), table.theirs.get("t", "").isdecimal()
+    if not len(times) or (times <= 0).mean() <= (0 if is_bare else MOST_SLIPS):
         return
-    clock = next((axis for axis in axes if axis in columns and _is_clock(table, axis)), None)
-    if clock is None:
+    places = [axis for axis in axes if axis in columns]
+    even = [axis for axis in places if _is_clock(table, axis)]
+    rising = [axis for axis in places if is_bare and (np.diff(numbers_of(table, axis)) > 0).all()]
+    if not even + rising:
         return
+    clock = (even + rising)[0]
     order = [name for name in table.frame.columns if name in ("t", *axes) and name != clock]
     named = zip(("t", *"xyz"), (clock, *order), strict=False)
     options = " ".join(f"{ours}={quoted(table.theirs.get(own, own))}" for ours, own in named)
     theirs = [table.theirs.get(name, name) for name in ("t", clock)]
     raise DataError(
-        f"times ({theirs[0]!r}) go back, and {theirs[1]!r} increases evenly from row to row",
+        f"times ({theirs[0]!r}) go back, and {theirs[1]!r} increases{' evenly' * bool(even)} from "
+        "row to row",
         file=table.file, column="t", remedy=f"if that is the time, say so: --columns {options}",
     )  # fmt: skip
 

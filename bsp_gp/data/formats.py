@@ -23,6 +23,7 @@ from bsp_gp.data.headings import (
     is_body,
     is_height,
     is_id,
+    is_run_column,
     number_columns,
     run_of,
     told,
@@ -111,7 +112,7 @@ def read_table(path, *, rename=None, as_text=False):
     source, head = plain, head if plain is source else plain.head(_HEAD_LINES)
     marks = ("entity",) if as_text else ("t", "frame")
     try:
-        layout = sniff(head, dict(rename or {}), marks, path)
+        layout, within = _runs_in_sheets(sniff(head, dict(rename or {}), marks, path), source)
         source = source.without_comments(head[: layout.data_line])
         short = _require_even_rows(source, layout, head)
     except csv.Error as error:  # such as a cell of more than 131,072 characters
@@ -123,11 +124,31 @@ def read_table(path, *, rename=None, as_text=False):
     titles = () if as_text else layout.title_cells
     groups = groups_of(layout.headings, titles, file=path, line=line, is_track=not as_text)
     frame = _read_frame(source, layout, as_text)
+    if within is not None:
+        frame[0] = frame[0] + frame[within].map(lambda cell: f" {cell}".removesuffix(".0"))
     return long_table(
         frame, layout.headings, layout.units, groups, file=path, title=_title(layout, head),
         line=line, as_text=as_text, digest=source.digest, decimal=layout.decimal,
         notes=(*source.notes, *layout.notes, *short),
     )  # fmt: skip
+
+
+def _runs_in_sheets(layout, source):
+    """The layout where each sheet has several recordings, and which column tells these apart.
+
+    The caller names it, or its words do; it counts together with the name of the sheet.
+    """
+    found = [*layout.headings]
+    if not source.is_of_sheets or found[0].name != "scene":
+        return layout, None
+    said = [k for k, h in enumerate(found[1:], 1) if h.is_renamed and h.name == "scene"]
+    own = said or [k for k, h in enumerate(found) if h.sure == UNKNOWN and is_run_column(h.stem)]
+    if len(own) != 1:
+        return layout, None
+    (k,) = own
+    found[0] = replace(found[0], is_renamed=bool(said), theirs=f"sheet, {found[k].theirs}")
+    found[k] = replace(found[k], name="", ignored=found[k].theirs, sure=GUESS)
+    return replace(layout, headings=tuple(found)), k
 
 
 def long_table(
@@ -204,7 +225,7 @@ def long_table(
         file=str(file), digest=digest, title=title or None, decimal=decimal,
         notes=(*notes, *filter(None, [told(found)])),
         theirs={f"{h.name} of {h.body}" if h.body else h.name: h.theirs
-                for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN},
+                for h in sorted(reversed(found), key=_place) if h.sure != UNKNOWN and h.name},
         present=tuple(h.theirs for h in found if h.theirs), up="y" if is_upright else None,
         unused=unused, untimed=untimed, is_dated=dated,
     )  # fmt: skip

@@ -22,7 +22,7 @@ from bsp_gp.data.polar_words import (
     is_position_angle,
 )
 from bsp_gp.data.scene import PROPERTY_UNITS
-from bsp_gp.data.sky import HOURS, SKY_COLUMNS, is_sky
+from bsp_gp.data.sky import HOURS, SKY_COLUMNS, SKY_NUMBERS, is_sky
 from bsp_gp.data.words import apart, folded, plain_signs, word_set, words_for
 from bsp_gp.errors import in_python
 from bsp_gp.units import ACCELERATION, ANGLES, GRAVITIES, OF_THE_SKY, Unit
@@ -73,6 +73,10 @@ _GLUED_PLACE = re.compile(
 """A place in one word, ``px`` of robots, ``cx`` of centres, ``tx`` of translations, ``xpos``."""
 _LABELLED = re.compile(r"(.+?)[\s_.:-]+([xyz])[\s_.-]+([^\W\d]+)", re.IGNORECASE)
 """A body, its axis, and what of it: ``Objekt 1 x-Koordinate``."""
+_OF_WHOM = re.compile(r"([xyz])[\s_.-]+([^\W\d]+)\s+(?:for|of|von|de|du|di|del|da)\s+(\S.*)", re.I)
+"""An axis, what of it, and whose: ``x-coordinate for point mass 1``."""
+_PRECISION = re.compile(r"(.*\S)\s*[(\[]\s*(?:±|\+/-|\+-)\s*[\d.,]+[^()\[\]]*[)\]]")
+"""How sure a column is, behind its name: ``Time (s) (± 0.01 s)``."""
 _BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECASE)
 
 
@@ -145,6 +149,8 @@ _SHORT_BESIDE = word_set(
     "pres press baro hum rh hpa kpa mbar temp tmp lux volt amp amps bat batt vbat vcc co2 ppm"
 )
 """The same in short, where a heading is nothing else but a letter and a number."""
+_FAR_WORDS = word_set("distance dist delta range abstand entfernung distanz distancia distanza")
+"""Beside places in the sky: how far that is."""
 _PROCESSED_WORDS = word_set(
     "raw smooth smoothed filtered filter pixel pixels px image screen offset min max mean average"
     " center centre target roh geglättet origin scale old new next previous prev"
@@ -252,13 +258,18 @@ class Heading:
 
 def number_columns(names):
     """Columns that hold numbers in a table with these columns, a tuple of str."""
-    more = POLAR_COLUMNS if is_polar(names) else ("sra", "sdec") if is_sky(names) else ()
+    more = POLAR_COLUMNS if is_polar(names) else SKY_NUMBERS if is_sky(names) else ()
     return NUMBER_COLUMNS + more
 
 
 def is_frame_name(text):
     """Whether a heading speaks of numbers of frames."""
     return _guess(text) == "frame"
+
+
+def is_run_column(text):
+    """Whether a heading may tell recordings apart."""
+    return _guess(text) == "scene"
 
 
 def is_run(text):
@@ -390,10 +401,10 @@ def headings(cells, rename=None, *, is_track=True):
     is_track : bool
         Whether it is a table of positions, in which words may be guessed.
     """
-    cells = [_TEX.sub("", str(cell).strip().strip('"').strip()) for cell in cells]
-    ignored = [k.strip() for k, v in (rename or {}).items() if is_ignored(v, cells)]
-    back = {_TEX.sub("", v.strip()): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()
-            if k.strip() not in ignored}  # fmt: skip
+    cells = [one_blank(_TEX.sub("", str(cell).strip().strip('"').strip())) for cell in cells]
+    ignored = [one_blank(k) for k, v in (rename or {}).items() if is_ignored(v, cells)]
+    back = {one_blank(_TEX.sub("", v)): POLAR_ALIASES.get(k, k) for k, v in (rename or {}).items()
+            if one_blank(k) not in ignored}  # fmt: skip
     back = _of_every_run(back) if is_track else back
     found = [_read(cell, back, is_track, ignored) for cell in cells]
     if is_track:
@@ -403,8 +414,14 @@ def headings(cells, rename=None, *, is_track=True):
         found = _with_counted_places(_with_angles(found))
         found = _with_dates(found)
         found = _without_courses([_guessed(h, {f.name for f in found}) for h in found])
+        found = _with_far_on_sky(found)
         found = _with_errors(_with_clock(found))
-    return tuple(_settled(found))
+    return tuple(_settled(_with_one_unit(found) if is_track else found))
+
+
+def one_blank(text):
+    """A name of a column with one blank where there are more, as it is told."""
+    return " ".join(text.split())
 
 
 def _with_glued_places(found):
@@ -496,6 +513,21 @@ def _with_clock(found):
     return [replace(h, name="t", sure=GUESS) if h is clocks[0] else h for h in found]
 
 
+def _with_far_on_sky(found):
+    """Beside right ascension and declination: how far it is, and no place of its own."""
+    is_placed = any(h.name in _PLACES and (h.sure < GUESS or h.is_renamed) for h in found)
+    if not is_sky(h.name for h in found if h.name not in _PLACES) or is_placed:
+        return found
+    far = [
+        h for h in found
+        if not (h.is_renamed or h.ignored) and words_of(h.stem or h.name) <= _FAR_WORDS
+        and (not h.unit or unit_of(h.unit) == _LENGTH) and h.unit not in OF_THE_SKY
+    ]  # fmt: skip
+    if len(far) != 1 or any(h.name == "distance" for h in found if h not in far):
+        return found
+    return [replace(h, name="distance", sure=GUESS) if h is far[0] else h for h in found]
+
+
 def is_height(heading):
     """Whether a column means heights, so that its axis points up."""
     is_guess = heading.name == "y" and heading.sure == GUESS and not heading.body
@@ -510,6 +542,8 @@ def is_ignored(text, cells):
 def _read(cell, back, is_track, ignored=()):
     """A heading by its own words, without guesses."""
     plain = plain_signs(cell)
+    if is_track and cell not in back and (match := _PRECISION.fullmatch(plain)):
+        plain = match[1]
     run, rest = _run_of(plain) if is_track else ("", plain)
     if cell in back:
         run, rest = "", rest if is_run(run) else cell
@@ -919,17 +953,35 @@ def _of_body(heading):
 def _without_place_words(text):
     """``Objekt 1 x-Koordinate`` as ``Objekt 1 x``, and ``ball x velocity`` as ``ball vx``.
 
-    A place in one word with whose it is, ``cartPos``, is that along a line.
+    A place in one word with whose it is, ``cartPos``, is that along a line; of ``x-coordinate of
+    mass 1`` the body stands behind.
     """
     match = _CAMEL.fullmatch(text)
     if match and folded(match[2]) in _PLACE_WORDS:
         return f"{match[1]} x"
-    match = _LABELLED.fullmatch(text)
-    if not match or not re.search(r"\w", match[1]):
+    label = _LABELLED.fullmatch(text)
+    whose = None if label else _OF_WHOM.fullmatch(text)
+    body, axis, word = label.groups() if label else whose.group(3, 1, 2) if whose else [""] * 3
+    if not re.search(r"\w", body):
         return text
-    word = folded(match[3])
+    word = folded(word)
     mark = "" if word in _PLACE_WORDS else "v" if word in _SPEED_WORDS else None
-    return text if mark is None else f"{match[1]} {mark}{match[2]}"
+    return text if mark is None else f"{body} {mark}{axis}"
+
+
+def _with_one_unit(found):
+    """Of a velocity in several units, ``vz (ft/s), vz (m/s)``, the first, or the one named."""
+    own = {}
+    for h in found:
+        if h.sure == LITERAL and h.name[:1] == "v":
+            own.setdefault((h.owner, h.name), []).append(h)
+    again = set()
+    for alike in own.values():
+        units = {h.unit for h in alike}
+        if len(units) == len(alike) > 1 and len(set(map(unit_of, units))) == 1:
+            kept = next((h for h in alike if h.is_renamed), alike[0])
+            again |= {id(h) for h in alike if h is not kept}
+    return [replace(h, name="", ignored=h.theirs) if id(h) in again else h for h in found]
 
 
 def _settled(found):
@@ -973,7 +1025,7 @@ def _is_in_first_unit(heading, found):
 
 def told(found):
     """A note of what was guessed, empty without; and which option names another."""
-    guessed = [h for h in reversed(found) if h.sure == GUESS and not h.is_renamed]
+    guessed = [h for h in reversed(found) if h.sure == GUESS and h.name and not h.is_renamed]
     guesses = list({(h.name, h.body): h for h in guessed}.values())[::-1]
     if not guesses:
         return ""

@@ -46,7 +46,7 @@ def plain_horizons(text, path):
     above = lines[:at]
     rows = [line for line in lines[at + 1 : end] if line.strip() and line.strip("* ")]
     named = [line for line in above if line.strip("* ")]
-    body = re.search(r"Target body name:\s*(.*?)\s*(?:\(|\{|$)", "\n".join(above), re.M)
+    name = _target("\n".join(above))
     units = re.search(r"Output units\s*:\s*([\w-]+)", "\n".join(above))
     length, time = _UNITS.get(units[1] if units else "", ("", ""))
     if not (rows and named):
@@ -60,23 +60,43 @@ def plain_horizons(text, path):
     if "JDTDB" in header:
         made, cells = _vectors(header, cells, length, time)
     else:
-        made, cells = _seen(header, cells, path)
-    name = body[1] if body else "body"
+        made, cells = _seen(header, cells, path, _range_unit("\n".join(above)))
     table = [["entity", *made], *([name, *row] for row in cells)]
     centre = _centre("\n".join(above)) if "JDTDB" in header else _SUN * ("x (au)" in made)
     if centre and centre != name:
         table += [[centre, row[0], *["0"] * (len(made) - 1)] for row in cells]
     text = "\n".join("\t".join(row) for row in table) + "\n"
-    note = f"places count from {centre}, which is at rest at the origin"
-    return text, (note,) * bool(centre)
+    notes = (f"places count from {centre}, which is at rest at the origin",) * bool(centre)
+    if "ra" in made and len(made) > len(("t", "ra", "dec")):
+        seen_from = re.search(_CENTRE_NAME, "\n".join(above))
+        notes += (f"places are those that are seen from {seen_from[1]}",) if seen_from else ()
+    return text, notes
 
 
 _SUN = "Sun"
+_CENTRE_NAME = re.compile(r"Center body name:\s*(.*?)\s*(?:\(\d+\)\s*)?(?:\{|$)", re.M)
+
+
+def _target(above):
+    """The body that the table is of, without the designation in brackets behind its name.
+
+    What has a provisional designation alone, ``(2024 YR4)``, is called so.
+    """
+    line = re.search(r"Target body name:[ \t]*([^{\n]*)", above)
+    text = line[1].strip() if line else ""
+    name = re.sub(r"\s*\(.*", "", text) or text.strip("() ")
+    return name or "body"
+
+
+def _range_unit(above):
+    """Unit of the distances of an observer table."""
+    found = re.search(r"Range units\s*:\s*(\w+)", above)
+    return found[1].lower() if found else ""
 
 
 def _centre(above):
     """The body in whose middle places begin; "" where that is another point."""
-    name = re.search(r"Center body name:\s*(.*?)\s*(?:\(\d+\)\s*)?(?:\{|$)", above, re.M)
+    name = re.search(_CENTRE_NAME, above)
     site = re.search(r"Center-site name:\s*(.*?)\s*$", above, re.M)
     is_body = name is not None and site is not None and "barycent" not in name[1].lower()
     return name[1] if is_body and site[1].upper() in ("BODY CENTER", "BODYCENTRIC") else ""
@@ -182,8 +202,14 @@ def _vectors(names, cells, length, time):
     return header, [[row[k] for k in kept] for row in cells]
 
 
-def _seen(names, cells, path):
-    """Columns of an observer table: a time, and what says a place."""
+def _seen(names, cells, path, length):
+    """Columns of an observer table: a time, and what says a place.
+
+    Parameters
+    ----------
+    length : str
+        Unit of distances; "" for au.
+    """
     columns = {re.sub(r"_+", "_", name): k for k, name in enumerate(names)}
     dates = [k for name, k in columns.items() if name.startswith("Date")]
     julian = [k for name, k in columns.items() if "JD" in name]
@@ -191,12 +217,15 @@ def _seen(names, cells, path):
     cells = [[row[column] if julian else _days(row[column], path), *row] for row in cells]
     columns = {name: k + 1 for name, k in columns.items()}
     both = [k for name, k in columns.items() if name.startswith("R.A.") and name.endswith("DEC")]
+    far = [columns[name] for name in ("delta",) if name in columns]
+    header = [_TIME, "ra", "dec", *[f"distance ({length or 'au'})"] * len(far)]
     if both:
-        cut = [_angles(row[both[0]]) for row in cells]
-        return [_TIME, "ra", "dec"], [[row[0], *p] for row, p in zip(cells, cut, strict=True)]
+        cut = [(*_angles(row[both[0]]), *(row[k] for k in far)) for row in cells]
+        return header, [[row[0], *p] for row, p in zip(cells, cut, strict=True)]
     alone = [[k for n, k in columns.items() if n.startswith(w)] for w in ("R.A.", "DEC")]
     if all(alone):
-        return [_TIME, "ra", "dec"], [[row[0], *(row[k[0]] for k in alone)] for row in cells]
+        at = [*(k[0] for k in alone), *far]
+        return header, [[row[0], *(row[k] for k in at)] for row in cells]
     spherical = [columns.get(name) for name in ("hEcl-Lon", "hEcl-Lat", "r")]
     if None not in spherical:
         header = [_TIME, *(f"{axis} (au)" for axis in "xyz")]

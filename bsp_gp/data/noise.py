@@ -19,6 +19,11 @@ _N_PASSES = 6
 _MIN_WINDOWS = 8
 _TOLERANCE = 1.0
 _MIN_GRID_VALUES = 6
+_COMES_BACK = 10
+"""Changes of value for every one of fewer values from which these are a grid all the same."""
+_MOST_NEW, _HELD = 0.5, 1e-9
+"""Part of the rows of a track that have a place of their own, below which places are held between
+fixes; and part of its range within which a place is held."""
 _MIN_GRID_STEP = 1e4
 """Smallest step that counts as a grid, in roundings of the largest value."""
 _LARGE = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99)
@@ -139,7 +144,8 @@ def estimate_noise(data):
         elif declared is not None:
             value, source, how = declared[axis % len(declared)], "declared", "as declared"
         else:
-            value, order, n_effective = _from_differences(tracks[axis])
+            own = _of_fixes(tracks[axis], steps[axis], data)
+            value, order, n_effective = _from_differences(own)
             source, how = "estimated", f"differences of order {order}"
             if steps[axis] > value:
                 notes.append(
@@ -226,6 +232,24 @@ def _length_told(data):
     return 1.0, f" {data.units.text(metre)}"
 
 
+def _of_fixes(tracks, step, data):
+    """Tracks of fixes alone, unless places lie on a grid, where what hardly moves is held as well.
+
+    What is added to sums from row to row stays as it is.
+    """
+    return tracks if step or _summing(data)[1] else [_fixes(*track) for track in tracks]
+
+
+def _fixes(times, x):
+    """The first row of every place, where most rows hold the place of the row before.
+
+    What is held has no noise of its own, and its differences say next to nothing of that of fixes.
+    """
+    is_new = np.append(True, np.abs(np.diff(x)) > _HELD * np.ptp(x))
+    is_held = is_new.mean() < _MOST_NEW and is_new.sum() > _MIN_WINDOWS + max(ORDERS)
+    return (times[is_new], x[is_new]) if is_held else (times, x)
+
+
 def _from_differences(tracks):
     """Sigma, the order of differences behind it, and the effective number of differences."""
     together = {}
@@ -275,7 +299,7 @@ def _grid_steps(tracks):
     return list(map(max, whole, large))
 
 
-def _step_of_large(tracks, step):
+def _step_of_large(tracks, step, *, by_digits=True):
     """Step of the grid that the larger values lie on, where it is coarser by digits; else 0.0.
 
     A value is never more accurate than its last digit, and one sigma counts for all.
@@ -284,13 +308,16 @@ def _step_of_large(tracks, step):
     ----------
     step : float
         Of the grid of all values; 0.0 where that is finer than can be told.
+    by_digits : bool
+        Whether it must be coarser by whole digits, as it is of measured places.
     """
     values, best = np.abs(np.concatenate([np.empty(0), *(x for _, x in tracks)])), 0.0
     for part in _LARGE if len(values) else ():
         pieces = _of_size(tracks, np.quantile(values, part))
         own = grid_step(pieces)
         digits = math.log10(own / step) if own and step else 1.0
-        is_coarser = own > 0 and digits > 0.5 and abs(digits - round(digits)) < 1e-3
+        is_coarser = own > 0 and digits > 0.5
+        is_coarser = is_coarser and (not by_digits or abs(digits - round(digits)) < 1e-3)
         if is_coarser and _is_rough(pieces, own):
             best = max(best, own)
     return best
@@ -316,8 +343,12 @@ def grid_step(tracks):
     rounding = 16 * np.finfo(float).eps * float(np.abs(values).max(initial=0.0))
     gaps = np.diff(values)
     gaps = np.sort(gaps[gaps > rounding])
-    if len(gaps) < _MIN_GRID_VALUES - 1:
+    if not len(gaps):
         return 0.0
+    if len(gaps) < _MIN_GRID_VALUES - 1:
+        n_changes = sum(np.count_nonzero(np.abs(np.diff(x)) > rounding) for _, x in tracks)
+        if n_changes < _COMES_BACK * (len(gaps) + 1):
+            return 0.0
     step = float(gaps[0])
     while step > _MIN_GRID_STEP * rounding:
         step = _refined(step, gaps)
@@ -328,6 +359,12 @@ def grid_step(tracks):
             return step
         step = float(rest[0])  # that of the smallest gap is the most accurate
     return 0.0
+
+
+def coarsest_step(tracks):
+    """Step of the grid of all values, or of the larger ones where that is coarser; else 0.0."""
+    own = grid_step(tracks)
+    return max(own, _step_of_large(tracks, own, by_digits=False))
 
 
 def _refined(step, gaps):

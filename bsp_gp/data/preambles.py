@@ -2,9 +2,10 @@
 
 Layouts are those of the programs' own documentation: the TRC files of Motion Analysis and OpenSim,
 the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
-loggers, LabVIEW's measurement files, the texts of Leybold's CASSY Lab, measures of double stars as
-the US Naval Observatory mails them, sentences of NMEA 0183 (`bsp_gp.data.gps`), and tables of JPL
-Horizons (`bsp_gp.data.horizons`).
+loggers, the enhanced CSV of Astropy, LabVIEW's measurement files, the texts of Leybold's CASSY Lab,
+measures of double stars as the US Naval Observatory mails them, sentences of NMEA 0183
+(`bsp_gp.data.gps`), orbits in SP3 (`bsp_gp.data.sp3`), and tables of JPL Horizons
+(`bsp_gp.data.horizons`).
 """
 
 import csv
@@ -12,6 +13,8 @@ import re
 
 from bsp_gp.data.gps import NMEA, of_nmea
 from bsp_gp.data.horizons import plain_horizons
+from bsp_gp.data.sp3 import HEADS as OF_SP3
+from bsp_gp.data.sp3 import of_sp3
 from bsp_gp.errors import DataError
 
 _AXES = ("X", "Y", "Z")
@@ -225,11 +228,32 @@ def _washington(text, path):
     return "\n".join(out) + "\n", (f"{note} {listed}",) if limits else ()
 
 
+_ECSV_COLUMN = re.compile(r"#\s*-\s*\{(name:.*)\}\s*")
+_ECSV_PAIR = re.compile(r"(name|unit):\s*(?:![\w.]+\s*\{\s*unit:\s*)?('[^']*'|\"[^\"]*\"|[^,{}]*)")
+_ECSV_POWER = re.compile(r"(?<=[A-Za-z])(-?\d)\b")
+_ECSV_DELIMITER = re.compile(r"#\s*delimiter:\s*(\S+)")
+
+
+def _ecsv(text, path):
+    """A table below the YAML in which Astropy says what its columns are: names with their units."""
+    units, lines, delimiter = {}, text.splitlines(), " "
+    above = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    for line in lines[:above]:
+        if found := _ECSV_COLUMN.fullmatch(line):
+            about = {key: value.strip("'\" ") for key, value in _ECSV_PAIR.findall(found[1])}
+            units[about["name"]] = _ECSV_POWER.sub(r"^\1", about.get("unit", ""))
+        elif found := _ECSV_DELIMITER.fullmatch(line.rstrip()):
+            delimiter = found[1].strip("'\"")
+    names, *rows = csv.reader([line for line in lines[above:] if line.strip()], delimiter=delimiter)
+    header = [f"{name} ({units[name]})" if units.get(name) else name for name in names]
+    return "\n".join("\t".join(cells) for cells in (header, *rows)) + "\n"
+
+
 _KNOWN = {
     "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
     "NO_OF_FRAMES": _qualisys, "FILE_VERSION": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy,
     "CCSDS_OEM_VERS": _ephemeris_message, "LabVIEW Measurement": _labview,
-    "USNO Double Star": _washington,
+    "USNO Double Star": _washington, "# %ECSV": _ecsv, **dict.fromkeys(OF_SP3, of_sp3),
     'comment,"OptiTrack Export': _tracking_tools, **dict.fromkeys(NMEA, of_nmea),
     **dict.fromkeys(
         ("API", "Ephemeris", "JPL", "{", "*" * 10, "@ " + "*" * 8, "# " + "*" * 8), plain_horizons

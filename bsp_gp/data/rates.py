@@ -100,10 +100,12 @@ def _by_its_file(table, declaration):
         If the sensor says nothing of a motion.
     """
     name = re.sub(r"([a-z])([A-Z])", r"\1 \2", Path(table.file or "").stem)
-    words = set(re.findall(r"[a-z]+", name.lower())) - _OF_SENSORS
-    unit = next((unit for unit, known in _SENSORS.items() if words and words <= known), None)
+    unit = _sensor_called(name, is_of_phone=_OF_PHONES in table.present)
     said = {*"xyz"} & {*declaration.columns, *declaration.units, *table.units}
-    if unit is None or said or not {*"xyz"} <= set(table.frame.columns):
+    if said or not {*"xyz"} <= set(table.frame.columns):
+        return table
+    if unit is None:
+        _refuse_unknown_sensor(table)
         return table
     if unit:
         note = f"the file is called {name!r}: x, y and z are taken as what it shows, in {unit}"
@@ -121,6 +123,32 @@ def _by_its_file(table, declaration):
             "are places, say so: --columns x=x y=y z=z",
         )  # fmt: skip
     return table
+
+
+def _sensor_called(name, is_of_phone):
+    """The unit of what a file shows that is called so; None where that is no sensor.
+
+    What the logger of a telephone has written may be called more than that: the ride, the project.
+    """
+    words = re.findall(r"[a-z]+", name.lower())
+    words = [word for word in words if word not in _OF_SENSORS]
+    if is_of_phone:
+        sensors = frozenset().union(*_SENSORS.values())
+        words = [word for word in words if word in sensors]
+    return next((unit for unit, known in _SENSORS.items() if words and known >= {*words}), None)
+
+
+def _refuse_unknown_sensor(table):
+    """DataError where a telephone's sensor has written its axes, and nothing says which it is."""
+    axes = [text for text in table.present if text in ("x", "y", "z")]
+    if _OF_PHONES in table.present and axes == ["z", "y", "x"]:
+        units = " ".join(f"{axis}=m/s^2" for axis in "xyz")
+        raise DataError(
+            "z, y and x are what a sensor of a telephone shows, and the file is not called as one",
+            file=table.file, column="x",
+            remedy=f"say which it is by its unit: --units {units} of an accelerometer, rad/s of a "
+            "gyroscope; if they are places, --columns x=x y=y z=z",
+        )  # fmt: skip
 
 
 def _require_no_places(table, declaration, found):

@@ -11,7 +11,16 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.extent import JULIAN
-from bsp_gp.data.headings import RADIAL_NAMES, is_doubt, is_error_of, is_own_speed, words_of
+from bsp_gp.data.headings import (
+    BY_WORDS,
+    RADIAL_NAMES,
+    is_doubt,
+    is_error_of,
+    is_own_speed,
+    words_of,
+)
+from bsp_gp.data.polar import POLAR_ALIASES
+from bsp_gp.data.property_columns import quoted
 from bsp_gp.data.scene import CHECK, SIGHT
 from bsp_gp.data.stars import with_date_unit
 from bsp_gp.errors import DataError, in_python
@@ -56,6 +65,75 @@ def sighted(table):
             file=table.file, column=name, remedy=f'say which is meant: --columns rv="{text}"',
         )  # fmt: skip
     return next(iter(found), "") or _of_nights(table, texts)
+
+
+_PLACES = ("x", "y", "z", "ra", "dec", "distance", "angle")
+"""Columns of places, of which those of errors have an s before them."""
+
+
+def instead_of_places(table, declaration):
+    """The table with velocities along the line of sight alone, where the caller names them.
+
+    Beside places of a companion people write those of its star, in rows of their own. Where nobody
+    names them they are told if they are most of the table.
+
+    Raises
+    ------
+    DataError
+        Where the caller names places as well.
+    """
+    beside = [f"{s}{name}" for name in _PLACES for s in ("", "s") if f"{s}{name}" in table.frame]
+    if SIGHT_NAMES[0] not in declaration.columns:
+        return _told_of_velocities(table, [name for name in beside if name in _PLACES])
+    if SIGHT_NAMES[0] not in table.frame or not beside:
+        return table
+    theirs = {name: table.theirs.get(name, name) for name in beside}
+    named = {POLAR_ALIASES.get(name, name) for name in declaration.columns}
+    said = [name for name in beside if name in named]
+    if said:
+        raise DataError(
+            f"{', '.join(theirs[name] for name in said)} and velocities along the line of sight "
+            "are not read at once", file=table.file, column=said[0],
+            remedy="name the places, or the velocities, and leave the others out",
+        )  # fmt: skip
+    seen = table.frame[SIGHT_NAMES[0]].notna()
+    note = f"not used, since velocities are named: {', '.join(theirs.values())}"
+    note += f", and {int((~seen).sum())} row(s) without a velocity" * bool((~seen).any())
+    return replace(
+        table, frame=table.frame[seen].drop(columns=beside), notes=(*_unguessed(table), note),
+        theirs={name: text for name, text in table.theirs.items() if name not in beside},
+        units={name: unit for name, unit in table.units.items() if name not in beside},
+    )  # fmt: skip
+
+
+def _unguessed(table):
+    """Notes of a table but that of what was guessed by words: places that are gone were."""
+    return [note for note in table.notes if not note.startswith(BY_WORDS)]
+
+
+def _told_of_velocities(table, places):
+    """The table with a check where more rows have such a velocity than a place."""
+    own = [
+        (name, text) for name, text in table.unused.items()
+        if name in table.frame and is_of_sight(text)
+        and pd.api.types.is_numeric_dtype(table.frame[name])
+    ]  # fmt: skip
+    own = [each for each in own if not any(_is_its_error(each[1], of) for _, of in own
+                                           if of != each[1])]  # fmt: skip
+    if len(own) != 1 or not places:
+        return table
+    name, text = own[0]
+    seen = table.frame[name].notna() & table.frame[places].isna().all(axis=1)
+    n_placed = int(table.frame[places].notna().all(axis=1).sum())
+    if seen.sum() <= n_placed:
+        return table
+    error = _error_of(table, name, text, table.units.get(name, ""))
+    options = f"rv={quoted(text)}" + f" srv={quoted(table.unused[error])}" * (error in table.unused)
+    note = in_python(
+        f"{CHECK}{n_placed} row(s) with places are read, and {int(seen.sum())} with velocities "
+        f"along the line of sight ({text!r}) are not: --columns {options} reads these instead"
+    )
+    return replace(table, notes=(*table.notes, note))
 
 
 def _of_nights(table, texts):

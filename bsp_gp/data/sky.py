@@ -1,7 +1,8 @@
 """Tables of the sky: right ascension and declination, or angles in the place of lengths.
 
 Places become offsets in the tangent plane, x to the east and y to the north. With a distance or a
-parallax they are lengths; without one they stay angles, and lengths are not calibrated.
+parallax they are lengths; without one they stay angles, and lengths are not calibrated. Where each
+row says how far it is, they are places in space, counted from where they are seen.
 """
 
 import math
@@ -16,6 +17,8 @@ from bsp_gp.errors import DataError, UnitError, in_python
 from bsp_gp.units import OF_THE_SKY, Unit, parse_unit
 
 SKY_COLUMNS = ("ra", "dec", "sra", "sdec")
+SKY_NUMBERS = ("sra", "sdec", "distance")
+"""Columns beside right ascension and declination that have numbers, and no angles as texts."""
 _SEXAGESIMAL = re.compile(
     r"([+\-−]?)\s*(\d+)\s*[h:°d\s]\s*(\d+)\s*[m:'′\s]\s*(\d+(?:\.\d*)?)\s*[s\"″]?"
 )
@@ -59,7 +62,9 @@ def from_sky(table, units, about=None):
     """
     about, found = dict(about or {}), {**table.units, **units}
     if is_sky(table.frame.columns):
-        table, units = _offsets(table, found, dict(units))
+        table = _without_idle_distance(table, units)
+        is_near = "distance" in table.frame
+        table, units = (_in_space if is_near else _offsets)(table, found, dict(units))
     distance = _distance(about, table.file)
     known = {**table.units, **units}
     places = [c for c in ("x", "y", "z", "sx", "sy", "sz") if c in table.frame.columns]
@@ -82,6 +87,47 @@ def from_sky(table, units, about=None):
     return replace(table, frame=frame, units=own, notes=(*table.notes, note)), new
 
 
+def _without_idle_distance(table, units):
+    """The table without a distance that is the same in all rows, or has no say beside errors."""
+    if "distance" not in table.frame:
+        return table
+    far = numbers_of(table, "distance")
+    is_idle = not np.nanmax(far) > np.nanmin(far) if np.isfinite(far).any() else True
+    if not (is_idle or {"sra", "sdec"} & set(table.frame.columns)):
+        return table
+    text = table.theirs.get("distance", "distance")
+    return replace(
+        table, frame=table.frame.drop(columns="distance"), notes=(*table.notes, in_python(
+            f"not used: {text}; --sky distance='8.2 kpc' says how far all of it is"
+        )), units={k: unit for k, unit in table.units.items() if k != "distance"},
+        theirs={k: name for k, name in table.theirs.items() if k != "distance"},
+    )  # fmt: skip
+
+
+def _in_space(table, found, units):
+    """Places x, y, z of right ascension, declination and a distance, in the unit of that."""
+    ra, dec = (_angles(table, name, found.get(name, "")) for name in ("ra", "dec"))
+    far = numbers_of(table, "distance")
+    if (far <= 0).any():
+        k = int((far <= 0).argmax())
+        fail_at(table, f"a distance must be positive, got {far[k]:g}", k, "distance",
+                "leave the cell empty where it is not known")  # fmt: skip
+    flat = far * np.cos(dec)
+    places = {"x": flat * np.cos(ra), "y": flat * np.sin(ra), "z": far * np.sin(dec)}
+    gone = (*SKY_COLUMNS, "distance")
+    rest = table.frame.drop(columns=[c for c in gone if c in table.frame.columns])
+    unit = found.get("distance", "")
+    own = {k: text for k, text in table.units.items() if k not in gone}
+    own |= dict.fromkeys(places, unit) if unit and "length" not in units else {}
+    note = (
+        f"{CHECK}right ascension, declination and distance are read as places x, y and z in space, "
+        "counted from where they are seen: if that moves, so do they"
+    )
+    notes = (*table.notes, note, *_may_be_hours(table, found))
+    units = {k: text for k, text in units.items() if k not in gone}
+    return replace(table, frame=rest.assign(**places), units=own, notes=notes), units
+
+
 def _offsets(table, found, units):
     """Offsets in the tangent plane at the middle of the places, in arcseconds."""
     ra = _angles(table, "ra", found.get("ra", ""))
@@ -95,7 +141,8 @@ def _offsets(table, found, units):
         fail_at(
             table, f"{np.degrees(away[k]):.3g} degrees from the middle of all places: a plane is "
             "no picture of so much of the sky", k, "ra",
-            "give offsets x and y, or places near each other",
+            "add a column of how far each is (of JPL Horizons delta), or give offsets x and y; of "
+            "JPL Horizons ask for a vector table, or for another centre, such as the Sun",
         )  # fmt: skip
     arcsec = parse_unit("arcsec")[0]
     x = np.cos(dec) * np.sin(turn) / depth / arcsec

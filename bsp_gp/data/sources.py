@@ -57,6 +57,8 @@ class Source:
         How often delimiters occur.
     text : str or None
         The whole text, where the file is not text itself.
+    is_of_sheets : bool
+        Whether its first column, ``scene``, is made of the names of sheets.
     """
 
     path: Path
@@ -65,6 +67,7 @@ class Source:
     encoding: str = "utf-8-sig"
     text: str | None = None
     notes: tuple[str, ...] = ()
+    is_of_sheets: bool = False
 
     def open(self, newline=None):
         """A stream of the text."""
@@ -397,7 +400,7 @@ def _workbook(path):
         more = f", not {told}" if unread else ""
         notes = (f"{len(alike)} sheets of {path.name} with one header are recordings{more}", *made)
     digest = hashlib.sha256(content).hexdigest()
-    return Source(path, digest, _counts(text), text=text, notes=notes)
+    return Source(path, digest, _counts(text), text=text, notes=notes, is_of_sheets=len(alike) > 1)
 
 
 def _with_headers(sheets, filled):

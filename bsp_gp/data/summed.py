@@ -46,6 +46,10 @@ SLOWER = 10.0
 1e-4, places by what errors add up to within so many periods."""
 QUIET, LEAST_STILL = 4.0, 10
 """Standard deviations of the noise up to which values are those at rest, and rows of a rest."""
+CALM, PAUSE = 0.1, 0.25
+"""Part of the largest acceleration below which a body rests between two pushes, or goes on as it
+does, and the part of a period from which that is a pause: what swings shows less for a thirtieth of
+one."""
 ZERO = 0.3
 """What the zero of an accelerometer may be off by, m/s^2."""
 
@@ -347,7 +351,11 @@ def _sums_of_accelerations(times, values):
     ends = np.concatenate([[times[0] - steps[0]], times, [times[-1] + steps[-1]]])
     gaps, rate = np.diff(ends), _swing(times, values)
     widths = (gaps[1:] + gaps[:-1]) / 2
-    (first, last), level = ((0, 0), 0.0) if rate else _at_rest(values)
+    zero = _between_pauses(times, values, rate) if rate else None
+    if zero is not None:
+        (first, last), level, rate = (0, 0), zero, 0.0
+    else:
+        (first, last), level = ((0, 0), 0.0) if rate else _at_rest(values)
     values = values - level
     gained = values * widths[:, None]
     if _is_bent(times, values):  # the mean over the times between, weighed as what they add is
@@ -355,7 +363,9 @@ def _sums_of_accelerations(times, values):
     if rate:
         return ends, _bound(gaps, gained, widths, rate / SLOWER)
     speed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(gained, axis=0)])
-    if last > first:
+    if zero is not None:  # at rest at both ends
+        speed -= speed[-1] * ((ends[:-1] - ends[0]) / (ends[-2] - ends[0]))[:, None]
+    elif last > first:
         speed -= speed[-1]
     places = np.cumsum(speed * gaps[:, None], axis=0)
     return ends, np.concatenate([np.zeros((1, values.shape[1])), places])
@@ -378,6 +388,36 @@ def _at_rest(values):
     first, last = spans
     still = np.concatenate([values[:first], values[len(values) - last :]])
     return spans, still.mean(axis=0) if len(still) else np.zeros(values.shape[1])
+
+
+def _between_pauses(times, values, rate):
+    """What a sensor shows at rest, (n, d), of a body that is pushed and stopped now and then; None.
+
+    A lift that goes twice shows nothing between its rides, or at constant speed, for longer than
+    what swings does at its turns. It must be at rest at both ends.
+
+    Parameters
+    ----------
+    rate : float
+        Of the strongest wave, 1/s.
+    """
+    near = ndimage.uniform_filter1d(values - np.median(values, axis=0), NEIGHBOURS, axis=0)
+    size = np.linalg.norm(near, axis=1)
+    moving = np.flatnonzero(size > CALM * size.max())
+    pause = PAUSE * 2 * np.pi / rate
+    is_cut = np.diff(times[moving]) > pause
+    starts, stops = moving[np.append(True, is_cut)], moving[np.append(is_cut, True)]
+    bursts = times[stops] - times[starts]
+    is_still = min(times[starts[0]] - times[0], times[-1] - times[stops[-1]]) > pause
+    if len(bursts) < 2 or bursts.max() > pause / PAUSE or not is_still:
+        return None
+    rests = [slice(0, starts[0]), slice(stops[-1] + 1, None)]
+    at = [times[own].mean() for own in rests]
+    shown = np.stack([values[own].mean(axis=0) for own in rests])
+    off = np.abs(np.linalg.norm(shown, axis=1)[:, None] - [0.0, GRAVITY]).min(axis=1)
+    if off.max() > ZERO:
+        return None
+    return np.stack([np.interp(times, at, own) for own in shown.T], axis=1)
 
 
 def has_swing(values):

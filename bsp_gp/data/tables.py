@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.apart import below_each_other, recordings_apart
+from bsp_gp.data.apart import below_each_other, may_be_below, recordings_apart
 from bsp_gp.data.assembly import (
     along_named_axis,
     axes_of,
@@ -29,12 +29,20 @@ from bsp_gp.data.assembly import (
 )
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, Conversion, ratio_of
+from bsp_gp.data.counted import with_counted_angles
 from bsp_gp.data.dates import since_1970
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
 from bsp_gp.data.formats import Table, long_table, read_table
-from bsp_gp.data.headings import bodies_beside, headings, is_angle, is_angle_name, is_ignored
+from bsp_gp.data.headings import (
+    bodies_beside,
+    headings,
+    is_angle,
+    is_angle_name,
+    is_ignored,
+    one_blank,
+)
 from bsp_gp.data.horizons import without_header
 from bsp_gp.data.logged import named_of
 from bsp_gp.data.meeting import without_meetings
@@ -48,6 +56,7 @@ from bsp_gp.data.records import told_of_record
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, Dataset, Entity
 from bsp_gp.data.several import joined, tables_of
+from bsp_gp.data.sight import instead_of_places
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_named_dates, with_primary
 from bsp_gp.data.still import held_still
@@ -340,8 +349,10 @@ def _assemble(table, roster, declaration, default_name):
     _require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
     table = without_header(_since_1970(table, declaration.units), declaration)
     table = _dates_as_declared(table, declaration.units)
+    table = instead_of_places(table, declaration)
     table, declaration, is_star = read_stars(with_named_dates(table, declaration), declaration)
     declaration = _with_their_names(table, declaration)
+    table, declaration = with_counted_angles(table, declaration)
     declaration, input_notes = _with_inputs(table, declaration)
     table = from_maps(table, declaration)
     table, declaration = from_rates(table, declaration)
@@ -382,6 +393,7 @@ def _assemble(table, roster, declaration, default_name):
     rows, twice = measures_at_once(rows)
     rows, slips = without_slips(rows)
     rows, held = without_held(rows)
+    again = () if conversion.system.is_angle else may_be_below(rows)
     rows, apart = recordings_apart(rows, roster, "scene" in table.frame.columns)
     rows, met = without_meetings(rows) if roster is None else (rows, ())
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
@@ -407,6 +419,7 @@ def _assemble(table, roster, declaration, default_name):
         *twice,
         *slips,
         *held,
+        *again,
         *apart,
         *met,
         *still,
@@ -518,7 +531,7 @@ def _with_their_names(table, declaration):
     taken = {*table.frame.columns, *KINDS}
     ours = ours if "t" in taken or "time" in declaration.units else {**ours, "t": "time"}
     return dataclasses.replace(declaration, units={
-        ours.get(name, name) if name not in taken else name: unit
+        ours.get(one_blank(name), name) if name not in taken else name: unit
         for name, unit in declaration.units.items()
     })  # fmt: skip
 
@@ -599,7 +612,8 @@ def _with_angles(table, declaration):
         clock = "" if known & {"t", "time"} else " t=s"
         raise DataError(
             f"{theirs!r} is an angle in an unknown unit", file=table.file, column=theirs,
-            remedy=f"declare it: --units {quoted(theirs)}=rad{clock}, or {quoted(theirs)}=deg",
+            remedy=f"declare it: --units {quoted(theirs)}=rad{clock}, or {quoted(theirs)}=deg, or "
+            f"of counts of an encoder what one is, {quoted(theirs)}=rev/4000",
         )  # fmt: skip
     if not own or "x" not in table.frame:
         return declaration

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.extent import JULIAN, YEARS, are_within
-from bsp_gp.data.noise import grid_step
+from bsp_gp.data.noise import coarsest_step
 from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK
 
@@ -112,7 +112,7 @@ def _are_held(times, places):
     # The grid of a long track takes a while, and hardly any track holds readings.
     if np.count_nonzero(np.diff(moving) > 1) < LEAST_LEAPS or not np.isfinite(places).all():
         return nothing
-    grid = np.array([grid_step([(times, own)]) for own in places.T])
+    grid = np.array([coarsest_step([(times, own)]) for own in places.T])
     is_leap = ((steps[moving] > 0) & (steps[moving] >= LEAP * grid)).any(axis=1)
     firsts, lasts = np.append(0, moving + 1), np.append(moving, len(places) - 1)
     chosen = np.append(True, is_leap) & np.append(is_leap, True) & (lasts > firsts)

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.headings import LITERAL, UNKNOWN, is_run
+from bsp_gp.data.property_columns import quoted
 from bsp_gp.errors import DataError
 
 _AXES = ("x", "y", "z")
@@ -68,9 +69,15 @@ def _require_once(found, is_track, file, line):
             remedy='say of one run which it is, for all of them: --columns x="..."',
         )  # fmt: skip
     if twice:
+        name = twice[0].name
+        theirs = dict.fromkeys(h.theirs for h in twice if h.name == name)
+        is_told = len(theirs) == names.count(name)
+        listed = f" ({', '.join(theirs)})" if is_told else ""
+        left = "; leave out all but one: --columns " + " ".join(
+            f"{quoted(text)}=ignore" for text in [*theirs][1:])  # fmt: skip
         raise DataError(
-            f"the header names {twice[0].name!r} twice", file=file, row=line, column=twice[0].name,
-            remedy="every column needs a name of its own",
+            f"the header names {name!r} twice{listed}", file=file, row=line, column=name,
+            remedy="every column needs a name of its own" + left * is_told,
         )  # fmt: skip
 
 
