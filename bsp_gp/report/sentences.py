@@ -69,9 +69,9 @@ def _ended(text):
 _DESCRIBES = "It describes these tracks, but "
 
 
-def _why_it_describes(round_):
-    """Why what a round has adopted only describes the tracks."""
-    reason = str(round_.reason).strip().rstrip(".")
+def _why_it_describes(reason=""):
+    """Why what was adopted only describes the tracks, for a reason that is told as a sentence."""
+    reason = reason.strip().rstrip(".")
     if reason.startswith(_DESCRIBES):
         but = reason.removeprefix(_DESCRIBES)
         return f"It describes them, but {but}: that it is the cause is not shown."
@@ -130,7 +130,8 @@ def verdict_parts(report):
         names = _joined(_counted(map(_either, forces)))
         text = f"On these tracks the motion is as if there were {names}."
         others = _findings(r for r in adopted if r not in forces)
-        detail = _why_it_describes(next(r for r in adopted if r.verdict == report.verdict))
+        told = [r.reason for r in adopted if r.verdict == report.verdict]
+        detail = _why_it_describes(*told[:1])
         return text, f"{detail} {others[:1].upper()}{others[1:]}." if others else detail
     if report.verdict == "the noise is not as assumed":
         return "The noise of the measurement is not as it was assumed.", ""

@@ -141,7 +141,8 @@ def test_kicks_here_and_there_are_proposed_at_once():
     instants = sorted(value for name, value in values.items() if name.startswith("t"))
     assert instants == pytest.approx([0.22, 0.3, INSTANT], abs=0.03)
     told = SimpleNamespace(code=best.code, name=best.text, constants=[
-        SimpleNamespace(name=name, value=value, unit="s" if name[0] == "t" else "m/s")
+        SimpleNamespace(name=name, value=value, unit="s" if name[0] == "t" else "m/s",
+                        low=value - 0.01, high=value + 0.01)
         for name, value in values.items()
     ])  # fmt: skip
     text = kick(told)
