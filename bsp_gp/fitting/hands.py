@@ -171,17 +171,16 @@ def _lacking(dataset, law, pieces, levels):
     Without forces it lacks all.
     """
     own = [scene for scene in dataset.scenes if scene.name in pieces]
-    middle = [scene.rows(len(scene.times) // 4, 3 * len(scene.times) // 4) for scene in own]
-    middle = replace(dataset, scenes=tuple(middle), train=(), test=())
-    cut, centres = [], {}
+    centres = {}
     for scene in own:
         rows = pieces[scene.name][0]
         firsts = range(0, len(scene.times) - rows + 1, max(rows // OVERLAP, 1))
         centres[scene.name] = np.array(firsts) + rows // 2
-        cut += [replace(scene.rows(a, a + rows), name=f"{scene.name} {a}") for a in firsts]
     out, axes, columns = {}, np.flatnonzero(np.isfinite(levels)), {}
     if law.terms or law.frame or law.unseen:
-        found = snippets_under(law, middle, cut)
+        middle = [scene.rows(len(scene.times) // 4, 3 * len(scene.times) // 4) for scene in own]
+        middle = replace(dataset, scenes=tuple(middle), train=(), test=())
+        found = snippets_under(law, middle, _snippets(own, pieces, centres))
         if found is None:
             return {}
         channels = found.channels
@@ -205,6 +204,16 @@ def _lacking(dataset, law, pieces, levels):
                 lacks[k] = whole[k]
         error = _error(levels[axes], rows, step)
         out[scene.name] = _Series(centres[scene.name], whole, lacks, error, usual)
+    return out
+
+
+def _snippets(scenes, pieces, centres):
+    """Rows of scenes about centres as scenes, each called by the first of them."""
+    out = []
+    for scene in scenes:
+        rows = pieces[scene.name][0]
+        for first in (centres[scene.name] - rows // 2).tolist():
+            out.append(replace(scene.rows(first, first + rows), name=f"{scene.name} {first}"))
     return out
 
 

@@ -481,6 +481,8 @@ class _Turn:
         if white is None:
             return
         view, less = white
+        if self.unasked:  # what is asked now is asked under other noise
+            self.note("proposers")
         before = self.families, self.near, self.missing, self.levels, self.chances
         self.families = []
         self.propose(number, view, self.run.proposers)

@@ -9,6 +9,7 @@ from itertools import takewhile
 
 import numpy as np
 
+from bsp_gp.data.ephemeris import DAY_S
 from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.held_out import regression_of
@@ -28,6 +29,7 @@ from bsp_gp.loop.foresight import NO_BETTER, NOTABLE, foresees
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, is_open, law_record
 from bsp_gp.loop.proposal import is_turning
 from bsp_gp.loop.proposers.exponents import base_of
+from bsp_gp.loop.proposers.orbits import SIDEREAL_DAY
 from bsp_gp.loop.proposers.priors import AXES
 from bsp_gp.loop.slight import MOST_CAUSES, size_left
 from bsp_gp.physics.bodies import input_types_of
@@ -53,8 +55,7 @@ MUCH, SURE_SNR = 0.3, 100.0
 """Part of what the declared law leaves from which much is left, and its signal-to-noise ratio."""
 FEWEST_PERIODS = 2
 """That a recording must have of what comes back in time: one wave is as good as any curve."""
-DAY = 86400.0
-SEASONS, AS_LONG = (365.25 * DAY, 182.625 * DAY, DAY, 0.99727 * DAY), 0.03
+SEASONS, AS_LONG = (365.25 * DAY_S, 182.625 * DAY_S, DAY_S, SIDEREAL_DAY), 0.03
 """The year of the Earth, half of it and its days, s, and by which part a period is as long."""
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12

@@ -364,9 +364,8 @@ class _State:
         kept, heights, reduced, criteria = [], [], [], self.settings["criteria"]
         dataset = with_usable_masses(dataset)
         texts = {rival.text for rival in self.rivals}
-        whole = [of_whole_powers(rival, dataset) for rival in self.rivals[:1]]
-        new = (rival for found in whole for rival in found if rival.text not in texts)
-        self.rivals = (*self.rivals, *new)
+        whole = of_whole_powers(self.rivals[0], dataset) if self.rivals else ()
+        self.rivals = (*self.rivals, *(rival for rival in whole if rival.text not in texts))
         for rival in self.rivals:
             self.says(f"fitting {rival.text}")
             hypothesis = Hypothesis.from_laws(dataset, rival.law)

@@ -378,15 +378,13 @@ def moved(experiment, means, rng, share=0.15):
         for name, value in means.settings.items()
     }
     for body, other in zip(experiment.bodies, fresh.bodies, strict=True):
-        own = means.bodies[body.name]
-        place, speed = (
-            tuple(near(own.get(mark + a, 0.0), *both) for a, *both in zip(axes, x, y, strict=True))
-            for mark, x, y in (
-                ("", body.position, other.position), ("v", body.velocity, other.velocity),
-            )
-        )  # fmt: skip
+        chosen = means.bodies[body.name]
+        places = zip(axes, body.position, other.position, strict=True)
+        speeds = zip(axes, body.velocity, other.velocity, strict=True)
+        place = tuple(near(chosen.get(a, 0.0), old, new) for a, old, new in places)
+        speed = tuple(near(chosen.get(f"v{a}", 0.0), old, new) for a, old, new in speeds)
         properties = {
-            k: near(own.get(k, 0.0), v, other.properties[k]) for k, v in body.properties.items()
+            k: near(chosen.get(k, 0.0), v, other.properties[k]) for k, v in body.properties.items()
         }
         bodies.append(replace(body, position=place, velocity=speed, properties=properties))
     until = experiment.times[-1] ** (1 - share) * fresh.times[-1] ** share

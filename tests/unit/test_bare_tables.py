@@ -10,6 +10,7 @@ import bsp_gp
 from bsp_gp.cli import main
 from bsp_gp.data.untimed import COUNTED
 from bsp_gp.errors import DataError
+from tests.text_tables import rows
 
 N = 8
 XY = [(0.5 * k, k * k) for k in range(N)]
@@ -22,16 +23,12 @@ def table(tmp_path, *lines, name="film.csv"):
     return path
 
 
-def rows(*columns, sep=","):
-    return [sep.join(map(str, cells)) for cells in zip(*columns, strict=True)]
-
-
 def wide(tmp_path, lost=()):
     """A table of idTracker: two bodies side by side, and how sure each is."""
     x, y = map(list, zip(*XY, strict=True))
     for k in lost:
         x[k] = y[k] = "NaN"
-    lines = rows(x, y, SURE, [9 - k for k in range(N)], range(N), SURE[::-1], sep="\t")
+    lines = rows(x, y, SURE, [9 - k for k in range(N)], range(N), SURE[::-1], mark="\t")
     return table(tmp_path, "X1\tY1\tProbId1\tX2\tY2\tProbId2", *lines, name="trajectories.txt")
 
 
@@ -154,7 +151,7 @@ T = [0.004 * k for k in range(N)]
 @pytest.mark.parametrize("sep", [",", ";", "\t", " ", "   "])
 def test_numbers_without_a_header_are_times_and_places(tmp_path, sep, n_columns):
     columns = [T, [k * k for k in range(N)], [5 - k for k in range(N)], SURE][:n_columns]
-    data = bsp_gp.load_dataset(table(tmp_path, *rows(*columns, sep=sep)))
+    data = bsp_gp.load_dataset(table(tmp_path, *rows(*columns, mark=sep)))
     (scene,) = data.scenes
     np.testing.assert_allclose(scene.times, T)
     found = scene.positions[:, 0, : n_columns - 1].T
@@ -164,7 +161,7 @@ def test_numbers_without_a_header_are_times_and_places(tmp_path, sep, n_columns)
 
 
 def test_decimal_commas_without_a_header(tmp_path):
-    lines = [line.replace(".", ",") for line in rows(T, SURE, sep="\t")]
+    lines = [line.replace(".", ",") for line in rows(T, SURE, mark="\t")]
     (scene,) = bsp_gp.load_dataset(table(tmp_path, *lines)).scenes
     np.testing.assert_allclose(scene.times, T)
     np.testing.assert_allclose(scene.positions[:, 0, 0], SURE)

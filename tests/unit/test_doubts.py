@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bsp_gp.data.ephemeris import DAY_S
 from bsp_gp.fitting.hypothesis import Parameter
 from bsp_gp.fitting.parts.orbits import Orbit
 from bsp_gp.loop import writing_up
 from bsp_gp.loop.writing_up import (
-    DAY,
     _own_doubt,
     doubt_of_bounds,
     doubt_of_rest,
@@ -78,7 +78,7 @@ def test_beside_what_is_left_of_most_of_the_motion_no_law_is_sure(after, snr, ve
 def test_a_companion_that_comes_back_with_the_seasons_is_none_for_sure(days, said):
     """Beside the planet of a star that was seen for ten years another of 359 d was a fact."""
     orbit = Orbit(tuple(Parameter(f"{stem}1") for stem in ("P", "K", "longitude")), 0.0)
-    with_orbit = SimpleNamespace(frame=(orbit,), constants={"P1": days * DAY})
+    with_orbit = SimpleNamespace(frame=(orbit,), constants={"P1": days * DAY_S})
     made = SimpleNamespace(
         number=1, fits={2: SimpleNamespace(law=with_orbit)},
         entering=SimpleNamespace(law=SimpleNamespace(frame=())),

@@ -80,3 +80,15 @@ def test_where_the_time_is_up_a_law_that_leaves_nothing_stands(left_out, leaves_
     said = turn.in_time(Decision("effect adopted", "adopted", best, True, (), True))
     assert said.verdict == verdict and said.is_adopted == (verdict == "effect adopted")
     assert said.is_fact == (not left_out)
+
+
+def test_what_was_not_asked_is_told_though_all_is_asked_under_other_noise():
+    """What is asked without a memory of the noise is asked anew, and says nothing of the rest."""
+    turn = SimpleNamespace(
+        unasked=["walls"], left_out=[], families=[], near=None, missing=0.0, levels=None,
+        chances={}, run=SimpleNamespace(proposers=(), criteria=Criteria()),
+        propose=lambda *asked: setattr(turn, "unasked", []),
+    )  # fmt: skip
+    turn.note = turn.left_out.append
+    _Turn.ask_without_memory(turn, 1, SimpleNamespace(in_white=lambda: (None, 0.0)))
+    assert turn.left_out == ["proposers"] and not turn.unasked

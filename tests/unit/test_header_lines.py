@@ -6,15 +6,10 @@ import pytest
 from bsp_gp import load_dataset
 from bsp_gp.data.header_lines import names_in, ruled_names
 from bsp_gp.errors import DataError
+from tests.text_tables import written
 
 T = np.arange(20) / 10
 PLACE = np.round(np.cos(3 * T), 4)
-
-
-def written(tmp_path, lines, name="track.csv"):
-    path = tmp_path / name
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
 
 
 def places(data):

@@ -5,19 +5,10 @@ import pytest
 
 from bsp_gp import load_dataset
 from bsp_gp.errors import DataError
+from tests.text_tables import rows, written
 
 T = np.arange(30) / 10
 X = np.cos(T)
-
-
-def written(tmp_path, lines, name="track.csv"):
-    path = tmp_path / name
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
-
-
-def rows(*columns, mark=","):
-    return [mark.join(map(str, row)) for row in zip(*columns, strict=True)]
 
 
 def test_unix_times_are_seconds_whatever_they_count(tmp_path):

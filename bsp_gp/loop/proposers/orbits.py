@@ -34,7 +34,7 @@ BLOCK = 400
 """Periods that are scored at a time."""
 N_FIRSTS, N_PAIR_DRAWS = 60, 20
 """Periods beside which a second is sought, and draws of noise in which it is."""
-DAY, N_ALIASED = 86164.09, 6
+SIDEREAL_DAY, N_ALIASED = 86164.09, 6
 """A turn of the Earth, s, after which the sky comes back; and peaks with which that is reckoned."""
 N_PEAKS, PEAK_ROWS, N_PHASES = (30, 300), 15_000, 16
 """Fewest and most periods at which ellipses are tried, these times rows, and times of the closest
@@ -254,7 +254,7 @@ class _Scan:
 
         Of an orbit that is no circle the alias may be the higher peak.
         """
-        day = 2 * math.pi / DAY
+        day = 2 * math.pi / SIDEREAL_DAY
         others = np.abs(rates[:N_ALIASED, None] + day * np.array([-2, -1, 1, 2])).ravel()
         is_asked = (others > self.rates[0]) & (others < self.rates[-1])
         return np.concatenate([rates, others[is_asked]])
