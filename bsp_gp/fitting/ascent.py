@@ -14,7 +14,7 @@ _STEP = 1e-6
 """Of slopes; the numbers are logarithms, of which half of it is far below their errors."""
 _STEP_OF_CURVATURE = 1e-3
 _HUGE = 1e100
-_SMALL_GAIN = 1e-3
+_SMALL_GAIN = 1e-4
 _N_NEWTON = 12
 _NEAR, _LONGEST = 0.3, 1.0
 """Longest steps: from a start that should be the maximum, and at all."""
@@ -70,7 +70,7 @@ def _climb(function, start, bounds):
             return _HUGE, np.zeros_like(values)
         return -at, -slope
 
-    options = {"maxiter": 60, "ftol": 1e-8, "gtol": 1e-2}
+    options = {"maxiter": 60, "ftol": 1e-10, "gtol": 1e-3}
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
     return found.x, -float(found.fun)
 
