@@ -28,8 +28,8 @@ _N_MEAN = 8
 _N_PASSES = 60
 _N_ROUNDS = 8
 _N_TAILS = 12
-_PRECISE_TAILS = 1e-3
-_SMALL_GAIN = 1e-2
+_PRECISE_TAILS = 1e-4
+_SMALL_GAIN = 1e-3
 _FEW_FREE = 0.1
 """Part of the rows that free numbers may take where the projected residual alone is a likeness."""
 _FEWER_FREE = 2e-3
@@ -151,11 +151,11 @@ class NoiseTask:
             return self._refit_tails(model)
         return self.refit_normal(model)[0]
 
-    def refit_normal(self, model, n_rounds=_N_ROUNDS):
+    def refit_normal(self, model):
         """The same with the weights of rows as they are, and its restricted log-likelihood."""
         shape = self._shape(model)
         model, value = self.rescale(model)
-        for _ in range(n_rounds if shape else 0):
+        for _ in range(_N_ROUNDS if shape else 0):
             model, before = self._optimise(model, shape)
             model, value = self.rescale(model)
             if value - before < _SMALL_GAIN:
@@ -173,7 +173,7 @@ class NoiseTask:
                 model, self.channels, whitener, self.weights, innovations
             )
             self.weights = model.tail_weights(scaled, self.channels)
-            model = self.refit_normal(model, 1)[0]  # weights change more from turn to turn
+            model = self.refit_normal(model)[0]
             degrees = fit_degrees(scaled[self.informative(model, error)], model.degrees)
             model = replace(model, degrees=degrees)
             after = np.log(np.array(model.levels)[model.is_free])
