@@ -16,6 +16,8 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, expm
 from scipy.optimize import minimize
 from scipy.stats import chi2, kurtosis, kurtosistest
 
+from bsp_gp.compiling import compiled
+
 COST = 4.0
 """Nats that a force must gain: a rate that is not there gains as much in less than one of a
 hundred recordings (a random walk's own test, which no chi-squared is)."""
@@ -156,8 +158,15 @@ class _Problem:
         moved = np.concatenate([np.diff(t.places, axis=0).ravel() for t in tracks])
         self.size = float(np.sqrt(np.mean(np.square(moved)))) or 1.0
         self.noise = None if noise is None else max(noise / self.size, 1e-6)
-        self.parts = [_Part((t.times - t.times[0]) / self.step, t.places / self.size)
-                      for t in tracks]  # fmt: skip
+        times = [(t.times - t.times[0]) / self.step for t in tracks]
+        # Steps of all tracks, so that motions over each are told once.
+        steps = [np.round(np.diff(t), 9) for t in times]
+        self.kinds, number = np.unique(np.concatenate(steps), return_inverse=True)
+        numbers = np.split(number, np.cumsum([len(own) for own in steps])[:-1])
+        self.parts = [
+            _Part(t, track.places / self.size, own)
+            for t, track, own in zip(times, tracks, numbers, strict=True)
+        ]  # fmt: skip
         self.n_dims = tracks[0].places.shape[1]
         self.n_numbers = sum(p.places.size for p in self.parts)
         self.span = float(np.mean([p.times[-1] for p in self.parts]))
@@ -270,12 +279,15 @@ class _Problem:
         speed = self.guess["fastest"]
         has_offset = bool({"trap", "push"} & terms)
         total, rows = 0.0, []
+        far = FARTHEST * self.guess["extent"]
+        moves = _Moves.over(model, self.kinds)
+        if moves is None:
+            return -1e30, []
         for part in self.parts:
-            far = FARTHEST * self.guess["extent"]
             if model.kicks:
-                found = part.density(model, speed, far, has_offset)
+                found = part.density(model, moves, speed, far, has_offset)
             else:
-                found = part.drawn(model, speed, far)
+                found = part.drawn(model, moves, speed, far)
             if found is None or not np.isfinite(found[0]):
                 return -1e30, []
             total += found[0]
@@ -307,13 +319,14 @@ class _Problem:
         )  # fmt: skip
         pushes = np.array([value.get(f"push_{axis}", 0.0) for axis in "xyz"[: self.n_dims]])
         centres = np.array([value.get(f"centre_{axis}", np.nan) for axis in "xyz"[: self.n_dims]])
+        moves = model.transitions(self.kinds)
         lags, squares, count, every = 10, np.zeros(10), 0, []
         for k, part in enumerate(self.parts):
             push = pushes * rate / size
             if "trap" in found.terms:  # other tracks have centres of their own
                 centre = centres / size - part.origin if not k else part.places.mean(axis=0)
                 push = model.trap * centre
-            errors = part.forecast(model, push, self.guess["fastest"],
+            errors = part.forecast(model, moves, push, self.guess["fastest"],
                                    FARTHEST * self.guess["extent"])[3:]  # fmt: skip
             every.append(errors)
             size_ = np.square(errors).sum(axis=0)
@@ -463,42 +476,72 @@ def _spread_of(first):
 
 def _over(drift, noise, push, steps):
     """Transitions of a linear motion over time steps, see `_Model.transitions`."""
-    drift, noise, push = map(np.array, (drift, noise, push))
     n = len(drift)
-    block = np.zeros((2 * n + 1, 2 * n + 1))
-    block[:n, :n], block[:n, n : 2 * n], block[n : 2 * n, n : 2 * n] = -drift, noise, drift.T
-    alone = np.zeros((n + 1, n + 1))
-    alone[:n, :n], alone[:n, n] = drift, push
-    moved = expm(alone * steps[:, None, None])
-    both = expm(block * steps[:, None, None])[:, : 2 * n, : 2 * n]
-    f = moved[:, :n, :n]
-    q = np.swapaxes(both[:, n:, n:], 1, 2) @ both[:, :n, n:]
+    alone, white = np.zeros((2, n + 1, n + 1))
+    alone[:n, :n], alone[:n, n], white[:n, :n] = drift, push, noise
+    block = np.block([[-alone, white], [np.zeros_like(white), alone.T]])
+    both = expm(block * steps[:, None, None])
+    moved = np.swapaxes(both[:, n + 1 :, n + 1 :], 1, 2)
+    f, q = moved[:, :n, :n], (moved @ both[:, : n + 1, n + 1 :])[:, :n, :n]
     return f, (q + np.swapaxes(q, 1, 2)) / 2, moved[:, :n, n]
 
 
+@dataclass(frozen=True, eq=False)
+class _Moves:
+    """Motions of a model over K kinds of steps; what kicks add is None where there are none.
+
+    Attributes
+    ----------
+    f : ndarray, shape (K, n, n)
+    push : ndarray, shape (K, n)
+    inverse, half : ndarray, shape (K, n, n)
+        Of the covariance of what kicks add, and its lower factor.
+    log_q : ndarray, shape (K,)
+        The logarithm of its determinant.
+    """
+
+    f: np.ndarray
+    push: np.ndarray
+    inverse: np.ndarray | None = None
+    half: np.ndarray | None = None
+    log_q: np.ndarray | None = None
+
+    @classmethod
+    def over(cls, model, steps):
+        """Motions over time steps; None where numbers do not carry them."""
+        try:
+            f, q, push = model.transitions(steps)
+            if not model.kicks:
+                return cls(f, push)
+            inverse = np.linalg.inv(q)
+            sign, log_q = np.linalg.slogdet(q)
+            if not (np.isfinite(inverse).all() and (sign > 0).all()):
+                return None
+            return cls(f, push, inverse, np.linalg.cholesky(inverse), log_q)
+        except (LinAlgError, ValueError):
+            return None
+
+
 class _Part:
-    """One track, in units of rows and steps, about its first place."""
+    """One track, in units of rows and steps, about its first place.
 
-    def __init__(self, times, places):
-        self.times, self.origin = times, places[0]
+    Parameters
+    ----------
+    number : ndarray of int, shape (T - 1,)
+        Which kind of step leads from each row to the next.
+    """
+
+    def __init__(self, times, places, number):
+        self.times, self.origin, self.number = times, places[0], number
         self.places = places - places[0]
-        steps = np.diff(times)
-        self.kinds, self.number = np.unique(np.round(steps, 9), return_inverse=True)
 
-    def density(self, model, speed, far, has_offset):
+    def density(self, model, moves, speed, far, has_offset):
         """Log-density of the rows, how it depends on a push; None where numbers do not carry it.
 
         The density without a push; with one of size a the exponent gains ``a right - a^2 square /
         2`` on each axis.
         """
-        try:
-            f, q, push = model.transitions(self.kinds)
-            inverse = np.linalg.inv(q)
-            log_q = np.linalg.slogdet(q)
-        except (LinAlgError, ValueError):
-            return None
-        if not (np.isfinite(inverse).all() and (log_q[0] > 0).all()):
-            return None
+        f, push, inverse = moves.f, moves.push, moves.inverse
         n, n_rows, n_dims = f.shape[1], len(self.times), self.places.shape[1]
         first = model.first(speed, far)
         blocks = np.zeros((n_rows, n, n))
@@ -516,7 +559,6 @@ class _Part:
         flat = right.reshape(n_rows * n, -1)
         try:
             factor = cholesky_banded(band, lower=True, check_finite=False)
-            half = np.linalg.cholesky(inverse)  # q^-1 = half half'
         except LinAlgError:
             return None
         solved = cho_solve_banded((factor, True), flat, check_finite=False)
@@ -527,28 +569,22 @@ class _Part:
         driven = states[1:] - f[self.number] @ states[:-1]
         if has_offset:
             driven[:, :, -1] -= push[self.number]
-        driven = np.swapaxes(half, 1, 2)[self.number] @ driven
+        driven = np.swapaxes(moves.half, 1, 2)[self.number] @ driven
         begun = first @ states[0]
         rows = np.concatenate([shown, driven.reshape(-1, n_dims + 1), begun])
         gram = rows.T @ rows
         log_det = 2 * np.log(factor[0]).sum() - 2 * np.log(np.diagonal(first)).sum()
-        log_det += log_q[1][self.number].sum() + 2 * n_rows * np.log(model.noise)
+        log_det += moves.log_q[self.number].sum() + 2 * n_rows * np.log(model.noise)
         height = -0.5 * np.trace(gram[:n_dims, :n_dims]) - 0.5 * n_dims * float(
             log_det + n_rows * LOG_TURN
         )
         return float(height), -gram[:n_dims, -1], float(gram[-1, -1])
 
-    def drawn(self, model, speed, far):
+    def drawn(self, model, moves, speed, far):
         """The same of a motion without kicks."""
-        f, _, push = model.transitions(self.kinds)
         n_rows, n_dims = self.places.shape
-        n = f.shape[1]
-        states = np.zeros((n_rows, n, n + 1))  # by the first state, and by a push of one
-        states[0, :, :n] = np.eye(n)
-        for k, kind in enumerate(self.number):
-            states[k + 1] = f[kind] @ states[k]
-            states[k + 1, :, n] += push[kind]
-        columns = states[:, 0] / model.noise
+        n = moves.f.shape[1]
+        columns = _carried(moves.f, moves.push, self.number) / model.noise
         rows = self.places / model.noise
         first = 1 / np.diagonal(model.first(speed, far))
         own = columns[:, :n] * first
@@ -563,9 +599,9 @@ class _Part:
         )
         return float(height), gram[:n_dims, -1], float(gram[-1, -1])
 
-    def forecast(self, model, push, speed, far):
+    def forecast(self, model, moves, push, speed, far):
         """Errors of one-step forecasts, of unit size, (T, d): a Kalman filter from such states."""
-        f, q, by_push = model.transitions(self.kinds)
+        f, q, by_push = moves
         n, n_dims = f.shape[1], self.places.shape[1]
         state, spread = np.zeros((n, n_dims)), _spread_of(model.first(speed, far))
         out = np.empty_like(self.places)
@@ -592,3 +628,25 @@ class _Part:
             for j in range(n):
                 band[n + i - j, j : (n_rows - 1) * n : n] = below[:, i, j]
         return band
+
+
+@compiled
+def _carried(f, push, number):
+    """Places (T, n + 1) by the first state, and by a push of one, over steps of such kinds."""
+    n = f.shape[1]
+    state, before = np.zeros((n, n + 1)), np.zeros((n, n + 1))
+    for i in range(n):
+        state[i, i] = 1.0
+    out = np.empty((len(number) + 1, n + 1))
+    out[0] = state[0]
+    for k in range(len(number)):
+        before[:] = state
+        kind = number[k]
+        for i in range(n):
+            for j in range(n + 1):
+                value = push[kind, i] if j == n else 0.0
+                for m in range(n):
+                    value += f[kind, i, m] * before[m, j]
+                state[i, j] = value
+        out[k + 1] = state[0]
+    return out

@@ -14,7 +14,7 @@ from bsp_gp.physics.geometry import Shapes
 
 __all__ = ["Pieces", "cut_pieces"]
 
-MOST_COORDINATES = 300
+MOST_COORDINATES = 150
 """Coordinates of a piece at the most, and its least number of rows."""
 LEAST_ROWS = 12
 LEAST_FLOWN = 4

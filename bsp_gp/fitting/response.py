@@ -584,18 +584,18 @@ class _Group:
             n_forces = white.shape[2] - n - len(self.fit.values) - 1
             own = white[:, :, n_forces : n_forces + n]
             q = orthonormal(own)
-            beyond = white - q @ (np.swapaxes(q, 1, 2) @ white)
-            beyond[:, :, :n_forces] = self._told(beyond[:, :, :n_forces])
+            every = white - q @ (np.swapaxes(q, 1, 2) @ white)
+            beyond = self._telling(every, n_forces)
             by_force, left = beyond[:, :, :n_forces], beyond[:, :, -1]
             if is_last:
                 break
-            shown = float(np.square(left).sum())
-            if shown > WORSE * kept[0] + left.size:  # so far from the fit nothing is linear
+            shown = float(np.square(every[:, :, -1]).sum())
+            if shown > WORSE * kept[0] + every[:, :, -1].size:  # so far off nothing is linear
                 self.nodes, is_last = kept[1], True
                 continue
             # Where places do not matter to what forces do, one pass leads to the smoothed tracks.
-            is_last = turn + 1 >= PASSES or turn > 0 and _are_alike(by_force, before)
-            before, kept = by_force, (shown, self.nodes)
+            is_last = turn + 1 >= PASSES or turn > 0 and _are_alike(every[:, :, :n_forces], before)
+            before, kept = every[:, :, :n_forces], (shown, self.nodes)
             if is_last or not self._smoothed(changes, white, by_force, left, near):
                 break
             near = self.free
@@ -605,7 +605,7 @@ class _Group:
         beyond = less_exact(by_force, beyond, error)
         by_force = beyond[:, :, :n_forces]
         values, vectors = FreeForce(by_force, self.fine.times).shown
-        self._weigh(left, _n_open(values))
+        self._weigh(left)
         left = beyond[:, :, -1]
         expected = None  # where what is left may change at once, it tells no smoothness
         if strength is not None:
@@ -626,22 +626,32 @@ class _Group:
         shape = (*turned.shape[:2], -1, self.n_own, self.n_dims)
         return force.reshape(shape), (turned @ left[..., None])[..., 0], keep
 
-    def _told(self, by_force):
-        """Moments by force, (W, m, F), without those in which what bodies are held by leaks.
+    def _telling(self, moments, n_forces):
+        """Moments (W, m, F + n + k + 1) turned into those in which forces show, (W, c, ...).
 
-        A rod takes up forces along it. Tracks that are smoothed lead from row to row as no fit
-        does, and there a little of such a force shows: a free force without bound would be told
-        by that from whatever is left. How many moments there are is counted at the fit itself.
+        What bodies are held by shows where no force does, too. A rod takes up forces along it.
+        Tracks that are smoothed lead from row to row as no fit does, and there a little of such a
+        force shows: a free force without bound would be told by that from whatever is left. How
+        many moments show any is counted at the fit itself.
         """
-        if not self.is_held:
-            return by_force
-        values, vectors = FreeForce(by_force, self.fine.times).shown
-        if self.n_told is None:
-            top = values.max(axis=1, keepdims=True, initial=0.0)
-            self.n_told = (values > NOTHING * top).sum(axis=1, keepdims=True)
-        n = values.shape[1]
-        vectors = np.where((np.arange(n) >= n - self.n_told)[:, None], vectors, 0.0)
-        return vectors @ (np.swapaxes(vectors, 1, 2) @ by_force)
+        values, vectors = FreeForce(moments[:, :, :n_forces], self.fine.times).shown
+        told = values > NOTHING * values.max(axis=1, keepdims=True, initial=0.0)
+        if self.is_held:
+            if self.n_told is None:
+                self.n_told = told.sum(axis=1, keepdims=True)
+            n = values.shape[1]
+            told &= np.arange(n) >= n - self.n_told
+        self.n_open = int(told.sum())
+        count = int(told.sum(axis=1).max(initial=1))
+        vectors = vectors[:, :, -count:] * told[:, None, -count:]  # eigenvalues rise
+        found = np.swapaxes(vectors, 1, 2) @ moments
+        if self.held.any():
+            rest = moments[:, :, n_forces + 2 * self.n_own * self.n_dims : -1][:, :, self.held]
+            more = orthonormal(rest - vectors @ (np.swapaxes(vectors, 1, 2) @ rest))
+            beside = np.swapaxes(more, 1, 2) @ moments
+            beside[:, :, :n_forces] = 0.0
+            found = np.concatenate([beside, found], axis=1)
+        return found
 
     def _inexact(self, by_force, left):
         """Variances of forces at instants, (W, F): they are evaluated at places that have errors.
@@ -675,7 +685,7 @@ class _Group:
         Of a force white in time, that shows as much as is left; where what is left tells how smooth
         the force is, of that one, and of a white one that shows little.
         """
-        shown = float(np.square(left).sum()) - left.size
+        shown = float(np.square(left).sum()) - np.count_nonzero(left)
         # Beside what a law leaves that is far off, a little more or less of it tells no cause.
         lost = self.lost * max(shown / MOST_SHOWN, 1.0)
         shown = max(shown, LEAST_SHOWN) if expected is None else LEAST_SHOWN
@@ -703,12 +713,13 @@ class _Group:
         self.nodes = self._flow(self.fine).held(self.nodes)
         return True
 
-    def _weigh(self, left, count):
+    def _weigh(self, left):
         """Find the level of the noise beside a free force, in that of the fit, and what that gains.
 
-        What a law leaves, moments (W, m) of which forces reach `count`, may have been taken for
-        noise: its level is that of the pure error.
+        What a law leaves, moments (W, m), may have been taken for noise: its level is that of the
+        pure error.
         """
+        count = self.n_open
         values, turned = self.free.seen(left)
         scaled, top = in_units(values)
         if not np.any(top > 0):

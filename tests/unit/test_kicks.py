@@ -9,7 +9,7 @@ from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.kinks import kinks
-from bsp_gp.fitting.langevin import Track, _Model, _Part, models_of
+from bsp_gp.fitting.langevin import Track, _Model, _Moves, _Part, models_of
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.proposers.kicks import is_kicked
@@ -34,8 +34,9 @@ def test_the_density_is_that_of_the_joint_normal(is_overdamped):
     rng = np.random.default_rng(0)
     model = _Model(is_overdamped, 0.0 if is_overdamped else 0.3, 0.2, 0.5, 0.4)
     times = np.array([0.0, 1.0, 1.5, 4.0, 5.0])
-    part = _Part(times, rng.standard_normal((5, 1)))
-    f, q, push = model.transitions(part.kinds)
+    kinds, number = np.unique(np.diff(times), return_inverse=True)
+    part = _Part(times, rng.standard_normal((5, 1)), number)
+    f, q, push = model.transitions(kinds)
     n = f.shape[1]
     first = np.diag(np.array([3.0, 2.0][:n]) ** 2)
     spread, means, crossed = [first], [np.zeros(n)], {}
@@ -50,7 +51,7 @@ def test_the_density_is_that_of_the_joint_normal(is_overdamped):
             crossed = f[part.number[b - 1]] @ crossed
             covariance[a, b] = covariance[b, a] = crossed[0, 0]
     covariance += 0.16 * np.eye(5)
-    height, right, square = part.density(model, 2.0, 3.0, True)
+    height, right, square = part.density(model, _Moves.over(model, kinds), 2.0, 3.0, True)
     rows = part.places[:, 0]
     assert height == pytest.approx(multivariate_normal(np.zeros(5), covariance).logpdf(rows))
     pushed = multivariate_normal([m[0] for m in means], covariance).logpdf(rows)
@@ -141,7 +142,7 @@ def test_what_a_camera_blurs_is_no_inertia(exposure):
 
 
 def test_the_density_of_blurred_places_is_that_of_the_joint_normal():
-    part = _Part(np.array([0.0, 1.0, 2.5]), np.array([[0.0], [0.4], [0.1]]))
+    part = _Part(np.array([0.0, 1.0, 2.5]), np.array([[0.0], [0.4], [0.1]]), np.arange(2))
     model = _Model(True, 0.0, 0.0, 0.5, 0.4, exposure=0.6)
     # Means over [t - 0.6, t] of a walk of 2 D = 1 that begins 0.6 before the first row.
     fine = np.arange(1, 3101) * 0.001
@@ -150,7 +151,8 @@ def test_the_density_of_blurred_places_is_that_of_the_joint_normal():
     covariance = weights @ walk @ weights.T
     far = 300.0  # so that where the walk begins is of no matter
     joint = covariance - covariance[0, 0] + far**2 + 0.16 * np.eye(3)
-    height = part.density(model, 2.0, far, False)[0]
+    moves = _Moves.over(model, np.array([1.0, 1.5]))
+    height = part.density(model, moves, 2.0, far, False)[0]
     expected = multivariate_normal(np.zeros(3), joint).logpdf(part.places[:, 0])
     assert height == pytest.approx(expected, abs=0.02)
 

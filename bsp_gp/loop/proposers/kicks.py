@@ -18,9 +18,9 @@ from bsp_gp.units import DIMENSIONLESS, Unit
 
 LEAST_ROWS = 100
 """Of a track: on fewer nobody tells kicks from a force that changes."""
-PIECE, SURELY_ODD = 400, 1e-6
-"""Rows of a track on which kicks are asked first where there are many, and the chance of forecasts
-as odd, below which the others are not asked."""
+FIRST_TRACKS, FIRST_ROWS, SURELY_ODD = 4, 800, 1e-6
+"""Tracks and their rows, together, on which kicks are asked first where there are many, and the
+chance of forecasts as odd, below which the others are not asked."""
 SMOOTH = 4.0
 """Rows until kicks show above the noise, beyond which they may be a force of any other form: beads
 take one or two, and what nobody lists and pushes a body smoothly eight or more."""
@@ -120,7 +120,9 @@ def _likeliest(tracks, fit, criteria, tick=None):
     free = fit.noise.is_free.any()
     noise = None if free else float(np.sqrt(np.nanmean(np.square(fit.noise.levels))))
     # What is so odd on a piece that no kicks are told stays so on the whole, which takes long.
-    pieces = [Track(t.times[:PIECE], t.places[:PIECE]) for t in tracks]
+    some = tracks[:: -(-len(tracks) // FIRST_TRACKS)]
+    rows = max(FIRST_ROWS // len(some), LEAST_ROWS)
+    pieces = [Track(t.times[:rows], t.places[:rows]) for t in some]
     if sum(len(t.times) for t in tracks) > 2 * sum(len(t.times) for t in pieces):
         models = models_of(pieces, noise, criteria.class_nats, tick)
         near = [m for m in models if models[0].score - m.score <= criteria.class_nats]
