@@ -1,6 +1,7 @@
 """Frequencies at which tracks move: the start of every constant that is a rate."""
 
 import numpy as np
+from scipy.signal import zoom_fft
 
 from bsp_gp.fitting.channels import join
 from bsp_gp.language.formula import Call, walk
@@ -21,6 +22,10 @@ FADING = (0.0, 3.0, 6.0, 12.0)
 SEEN = 3.0
 MOST_ROWS, WITHIN = 8_000, 0.01
 """Of a track in which a swing is sought, and the part of its variance that may lie within means."""
+EVEN, MOST_EMPTY = 0.05, 8
+"""Steps by which times may miss an even grid on which rows are summed, and its places per row."""
+ALIKE = 1e-8
+"""Part of what waves are, below which what is left of them beside others is rounding."""
 OVERTONES = {1: 1.0, 2: 0.5, 3: 0.5}
 """Multiples of a swing's rate, and how many turns a track nearer a push looks like what the swing
 lacks: a change of its size or rate, or of the form of what drives it back."""
@@ -50,7 +55,11 @@ def leading_rates(groups, noises):
                     variance = noise.variance[: len(times), s, r, k]
                     seen = np.isfinite(x) & np.isfinite(variance)
                     if seen.sum() > 6:
-                        power += _power(times[seen], x[seen], variance[seen], rates)
+                        t, x, own = times[seen], x[seen], variance[seen]
+                        if len(t) > MOST_ROWS:
+                            t, x = _lesser(t, x)
+                            own = np.full(len(t), np.median(own))
+                        power += _power(t, x, own, rates)
     peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])) + 1
     peaks = peaks[np.argsort(-power[peaks])][:MOST_RATES]
     return [float(rates[p]) for p in peaks]
@@ -170,20 +179,44 @@ def _rates(span, step):
 
 def _power(times, x, variance, rates, fading=0.0):
     """Fall of chi-squared by a sine and a cosine of each rate, which fade, beside a parabola."""
-    weight = 1.0 / np.sqrt(variance)
+    weight, since = 1.0 / np.sqrt(variance), times - times[0]
     u = (times - times.mean()) / np.ptp(times)
     smooth, _ = np.linalg.qr(weight[:, None] * np.stack([np.ones_like(u), u, u * u], axis=1))
     left = weight * x
     left = left - smooth @ (smooth.T @ left)
-    out, envelope = np.empty(len(rates)), weight * np.exp(-fading * (times - times[0]))
+    envelope = weight * np.exp(-fading * since)
+    columns = envelope[:, None] * np.column_stack([smooth, left])
+    found, twice = _sums(since, columns, np.square(envelope), rates)
+    whole, taken, shown = float(envelope @ envelope), found[:, :3], found[:, 3]
+    aa = (whole + twice.real) / 2 - np.square(taken.real).sum(axis=1)
+    bb = (whole - twice.real) / 2 - np.square(taken.imag).sum(axis=1)
+    ab = twice.imag / 2 - (taken.real * taken.imag).sum(axis=1)
+    ya, yb = shown.real, shown.imag
+    det, size = aa * bb - ab * ab, np.maximum(aa + bb, ALIKE * whole)
+    # At the Nyquist frequency there is no sine beside the cosine, but rounding.
+    is_one = det < ALIKE * whole**2
+    both = (bb * ya**2 - 2 * ab * ya * yb + aa * yb**2) / np.where(is_one, 1.0, det)
+    return np.where(is_one, (ya**2 + yb**2) / size, both)
+
+
+def _sums(since, columns, squares, rates):
+    """Sums of columns (T, c) times exp(i w t), (F, c), and of `squares` (T,) at twice each rate."""
+    step = float(np.median(np.diff(since)))
+    number = np.rint(since / step).astype(int)
+    step = since[-1] / number[-1]
+    is_even = np.abs(since - number * step).max() < EVEN * step and (np.diff(number) > 0).all()
+    if is_even and number[-1] <= MOST_EMPTY * len(since):
+        every = np.zeros((number[-1] + 1, columns.shape[1] + 1))
+        every[number] = np.column_stack([columns, squares])
+        own, doubled = (
+            zoom_fft(part, [n * rates[0], n * rates[-1]], len(rates), fs=2 * np.pi / step,
+                     endpoint=True, axis=0).conj()
+            for n, part in ((1, every[:, :-1]), (2, every[:, -1]))
+        )  # fmt: skip
+        return own, doubled
+    found, twice = np.empty((len(rates), columns.shape[1]), dtype=complex), []
     for first in range(0, len(rates), 512):
-        block = rates[first : first + 512]
-        angle = np.multiply.outer(block, times - times[0])
-        waves = np.stack([np.cos(angle), np.sin(angle)]) * envelope
-        waves = waves - (waves @ smooth) @ smooth.T
-        a, b = waves
-        aa, bb, ab = (a * a).sum(1), (b * b).sum(1), (a * b).sum(1)
-        ya, yb = a @ left, b @ left
-        det = np.maximum(aa * bb - ab * ab, 1e-12 * (aa * bb + 1e-300))
-        out[first : first + 512] = (bb * ya**2 - 2 * ab * ya * yb + aa * yb**2) / det
-    return out
+        waves = np.exp(1j * np.multiply.outer(rates[first : first + 512], since))
+        found[first : first + 512] = waves @ columns
+        twice.append(np.square(waves) @ squares)
+    return found, np.concatenate(twice)

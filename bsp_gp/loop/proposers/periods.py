@@ -281,24 +281,32 @@ class Scan:
             parts.append(np.stack(waves, axis=-1).reshape(-1, len(rates), 2))
         return np.concatenate(parts)
 
+    @property
+    def _others(self):
+        """Orthonormal columns of what constants of the law, and the basis, can take up, (n, k)."""
+        known = self.view.taken
+        return known if self.basis is None else np.concatenate([known, self.basis], axis=1)
+
     def beside(self, columns):
         """Columns (n, c) beside what constants of the law, and the basis, can take up."""
-        columns = self.view.beside(columns)
-        if self.basis is None:
-            return columns
-        return columns - self.basis @ (self.basis.T @ columns)
+        return columns - self._others @ (self._others.T @ columns)
 
     def _gain(self, columns):
         """Gains of columns (n, F, c), (F, 1 + B)."""
         n, f, c = columns.shape
-        size = np.sqrt(np.square(columns).sum(axis=0))
-        flat = (columns / np.where(size > 0, size, 1.0)).reshape(n, f * c)
-        flat = self.beside(flat)
-        dots = (flat.T @ self.targets).reshape(f, c, -1)
-        unit = flat.reshape(n, f, c).transpose(1, 2, 0)
-        values, vectors = np.linalg.eigh(unit @ np.swapaxes(unit, 1, 2))
+        flat, q = columns.reshape(n, f * c), self._others
+        taken = q.T @ flat
+        dots = (flat.T @ self.targets - taken.T @ (q.T @ self.targets)).reshape(f, c, -1)
+        taken, gram, size = taken.reshape(-1, f, c), np.empty((f, c, c)), np.empty((f, c, 1))
+        for i in range(c):
+            for j in range(i + 1):
+                whole = np.einsum("nf,nf->f", columns[:, :, i], columns[:, :, j])
+                gram[:, i, j] = whole - np.einsum("kf,kf->f", taken[:, :, i], taken[:, :, j])
+                gram[:, j, i] = gram[:, i, j]
+            size[:, i, 0] = np.sqrt(np.where(whole > 0, whole, 1.0))
+        values, vectors = np.linalg.eigh(gram / (size * np.swapaxes(size, 1, 2)))
         inverse = np.where(values > INDEPENDENT, 1 / np.maximum(values, INDEPENDENT), 0.0)
-        return (np.square(np.swapaxes(vectors, 1, 2) @ dots) * inverse[..., None]).sum(axis=1)
+        return (np.square(np.swapaxes(vectors, 1, 2) @ (dots / size)) * inverse[..., None]).sum(axis=1)
 
 
 def rates_of(view):
