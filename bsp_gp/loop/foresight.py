@@ -77,11 +77,12 @@ class Foresight:
         return self._of(done, last or done)[1]
 
     def instead(self, done, criteria):
-        """The round with another cause, where predictions refuse the one that it adopts.
+        """The round with another cause, where predictions are no better with the one it adopts.
 
         It adopts the likeliest of those with which predictions surely are off by half as much, as a
         law that describes the tracks: one that does so better is refused by what was held out
-        alone. The round as it is where there is none.
+        alone. The likeliest of every number of constants are asked first: with all of those that
+        are likelier the same may be too much. The round as it is where there is none.
 
         Parameters
         ----------
@@ -89,14 +90,16 @@ class Foresight:
             That adopts something.
         criteria : Criteria
         """
-        if not self.refuses(done):
-            return done
         base, refused = done.table.base, done.decision.best
+        if not self.refuses(done) and (self.helps(done) or not foresees(refused)):
+            return done
         others = [
             row for row in done.table.candidates
             if row.id != refused.id and foresees(row) and row.id in done.fits
             and row.log_posterior - base.log_posterior > criteria.noise_nats
         ]  # fmt: skip
+        firsts = {row.n_free: row for row in reversed(others)}
+        others.sort(key=lambda row: firsts[row.n_free] is not row)
         for row in others[:MOST_INSTEAD]:
             rivals = (refused, *(r for r in done.decision.rivals if r.id != row.id))
             decision = replace(

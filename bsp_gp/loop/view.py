@@ -358,11 +358,6 @@ class View:
         kept = sum(int(b.kept.sum()) for b in self.response.regression.batches)
         return kept - self._moments[1].shape[1]
 
-    @property
-    def taken(self):
-        """Orthonormal moments of what the constants of the law can take up, (n, k)."""
-        return self._moments[1]
-
     def beside(self, columns):
         """Moments (n, c) beside what the constants of the law can take up."""
         return columns - self.taken @ (self.taken.T @ columns)

@@ -105,12 +105,13 @@ def test_what_came_before_a_cause_that_changes_nothing_stays(world):
     assert (second.decision.is_adopted, second.decision.reason) == (False, "predictions_no_better")
 
 
+@pytest.mark.parametrize("adopted", [PUSH, "1e-9 [m/s^2] * m_i * e_x"])  # worse, and no better
 @pytest.mark.parametrize("other, is_taken", [([GRAVITY], True), ([GRAVITY, PUSH, PUSH], False)])
 def test_in_the_place_of_a_refused_cause_comes_one_that_predictions_bear_out(
-    world, other, is_taken
+    world, other, is_taken, adopted
 ):
     train, test = replace(world, scenes=world.scenes[:3]), world.scenes[3:]
-    done = round_of(1, train, [GRAVITY, PUSH], [GRAVITY, PUSH, PUSH])
+    done = round_of(1, train, [GRAVITY, PUSH], [GRAVITY, PUSH, adopted])
     third = Hypothesis.from_laws(train, other)
     rows = [
         Row(k, "law", f"law {k}", "laws", "converged", nats, 0.0, nats, 4)

@@ -306,7 +306,8 @@ class Scan:
             size[:, i, 0] = np.sqrt(np.where(whole > 0, whole, 1.0))
         values, vectors = np.linalg.eigh(gram / (size * np.swapaxes(size, 1, 2)))
         inverse = np.where(values > INDEPENDENT, 1 / np.maximum(values, INDEPENDENT), 0.0)
-        return (np.square(np.swapaxes(vectors, 1, 2) @ (dots / size)) * inverse[..., None]).sum(axis=1)
+        along = np.swapaxes(vectors, 1, 2) @ (dots / size)
+        return (np.square(along) * inverse[..., None]).sum(axis=1)
 
 
 def rates_of(view):
