@@ -18,6 +18,7 @@ from bsp_gp.fitting.estimates import ConstantEstimate, Errors, plain
 from bsp_gp.fitting.followed import about_lost, followed
 from bsp_gp.fitting.held_out import held_out_errors
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
+from bsp_gp.fitting.jackknife import jackknife_errors
 from bsp_gp.fitting.law_text import (
     doubts,
     fit_text,
@@ -336,6 +337,11 @@ def widening(found):
     return math.sqrt(misfit)
 
 
+def is_misfit(found):
+    """Whether a fit surely leaves more than noise."""
+    return widening(found) > math.sqrt(MISFIT)
+
+
 def constant_estimates(found, dataset, bounds=None):
     """The constants of a fit with 90 % intervals; Student's t where the noise was estimated.
 
@@ -368,6 +374,9 @@ def constant_estimates(found, dataset, bounds=None):
         e.name for s in dataset.scenes for e in s.entities if not math.isfinite(e.mass)
     }  # fmt: skip
     halves = student_t.ppf(0.95, dof) * wider * found.errors
+    if is_misfit(found):
+        errors, n_parts = jackknife_errors(found)
+        halves = np.maximum(halves, student_t.ppf(0.95, n_parts - 1) * errors)
     out = []
     for (name, entity), value, half, error in zip(
         found.parameters, found.values, halves, found.errors, strict=True

@@ -545,7 +545,7 @@ def _written(
     effect = next((r.effect for r in records if r.verdict == verdict and r.effect), None)
     constants = constant_estimates(last, dataset, bounds)
     for done in rounds:
-        constants = writing_up.told(constants, done.details)
+        constants = writing_up.told(constants, done.details, last)
     units = {c.name: c.unit for c in constants if not c.entity}
     law = without_unseen(last.law)
     text, latex = law.text(units=units), law.latex(units=units)

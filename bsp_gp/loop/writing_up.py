@@ -13,7 +13,7 @@ from bsp_gp.data.ephemeris import DAY_S
 from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.fitting.estimates import ConstantEstimate
 from bsp_gp.fitting.held_out import regression_of
-from bsp_gp.fitting.law_fit import constant_estimates
+from bsp_gp.fitting.law_fit import constant_estimates, is_misfit
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.fitting.parts.hidden import HiddenSource
 from bsp_gp.fitting.parts.orbits import Orbit
@@ -485,7 +485,7 @@ def _effect(done, dataset, bounds, known, criteria):
             dict.fromkeys(s.names[k] for s in dataset.scenes for k in s.dynamic)
         ),
         constants=tuple(
-            c for c in told(constant_estimates(fit, dataset, bounds), done.details)
+            c for c in told(constant_estimates(fit, dataset, bounds), done.details, fit)
             if c.name not in gone
         ),
         p_value=done.table.p_value,
@@ -536,7 +536,7 @@ def _added(done, fit):
     return tuple(f for f in added if f in own) or added
 
 
-def told(constants, details):
+def told(constants, details, fit):
     """Constants with the intervals of the draws of a round, where they are of the same fit.
 
     Parameters
@@ -544,14 +544,18 @@ def told(constants, details):
     constants : tuple of ConstantEstimate
     details : dict
         Of a `Round`.
+    fit : Fit
+        Whose constants they are: draws count noise alone, which is not all that it may leave.
     """
-    drawn = {}
+    drawn, leaves_more = {}, is_misfit(fit)
     for k, name in enumerate(details.get("names", ())):
         ends = np.quantile([draw[k] for draw in details["draws"]], (TAIL, 1 - TAIL))
         drawn[name, details["best"][k]] = tuple(map(float, ends))
     out = []
     for c in constants:
         low, high = drawn.get((c.name, c.value), (c.low, c.high))
+        if leaves_more:
+            low, high = min(low, c.low), max(high, c.high)
         unit = details.get("units", {}).get(c.name, c.unit)
         out.append(replace(c, low=low, high=high, unit=unit))
     return (*out, *(ConstantEstimate(**c) for c in details.get("constants", ())))
