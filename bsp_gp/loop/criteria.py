@@ -12,7 +12,8 @@ REASONS = (
     "predictions_worse", "predictions_no_better", "no_candidate_fits",
     "declared_model_not_fitted", "noise_explains", "time_is_up", "superseded", "not_tested",
     "strength_varies", "beside_description", "force_beside", "held_out_disagrees",
-    "many_causes", "own_period", "few_periods", "likelier_refused", "not_placed",
+    "many_causes", "own_period", "few_periods", "likelier_refused", "noise_likelier",
+    "not_placed",
     "swamped", "slight", "at_bound", "much_left", "laboratory", "poorly_foreseen",
     "smooth_kicks", "open_powers", "odd_power", "season",
     "passage",
@@ -23,7 +24,8 @@ REASONS = (
 it is likelier than none; "held_out_disagrees": what was held out leaves more than noise beside it,
 whatever its numbers; "many_causes": more of them than are likely to be missing; "own_period": a
 push that has the period of the swing without it; "few_periods": one that was not seen to come
-back; "likelier_refused": adopted in the place of a likelier one that made predictions worse;
+back; "likelier_refused": adopted in the place of a likelier one that made predictions no better;
+"noise_likelier": the same of noise, which foresees nothing;
 "not_placed": an unseen body whose strength may be nothing; "swamped": noise with a memory would
 explain it, as large as the motion; "slight": it takes up less than half of the little that is
 left; "time_is_up": of what there was time for it is the likeliest, and leaves little;

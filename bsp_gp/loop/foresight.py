@@ -82,7 +82,8 @@ class Foresight:
         It adopts the likeliest of those with which predictions surely are off by half as much, as a
         law that describes the tracks: one that does so better is refused by what was held out
         alone. The likeliest of every number of constants are asked first: with all of those that
-        are likelier the same may be too much. The round as it is where there is none.
+        are likelier the same may be too much. Noise foresees nothing: causes that are as likely
+        are asked as well. The round as it is where there is none.
 
         Parameters
         ----------
@@ -91,20 +92,22 @@ class Foresight:
         criteria : Criteria
         """
         base, refused = done.table.base, done.decision.best
-        if not self.refuses(done) and (self.helps(done) or not foresees(refused)):
+        is_noise = refused.kind == "noise"
+        if not is_noise and not self.refuses(done) and (self.helps(done) or not foresees(refused)):
             return done
         others = [
             row for row in done.table.candidates
             if row.id != refused.id and foresees(row) and row.id in done.fits
             and row.log_posterior - base.log_posterior > criteria.noise_nats
+            and not (is_noise and refused.log_posterior - row.log_posterior > criteria.noise_nats)
         ]  # fmt: skip
         firsts = {row.n_free: row for row in reversed(others)}
         others.sort(key=lambda row: firsts[row.n_free] is not row)
         for row in others[:MOST_INSTEAD]:
             rivals = (refused, *(r for r in done.decision.rivals if r.id != row.id))
             decision = replace(
-                done.decision, verdict="effective law", reason="likelier_refused", best=row,
-                rivals=rivals, is_fact=False,
+                done.decision, verdict="effective law", best=row, rivals=rivals, is_fact=False,
+                reason="noise_likelier" if is_noise else "likelier_refused",
             )  # fmt: skip
             other = replace(done, decision=decision)
             if self._is_much_better(other):

@@ -47,7 +47,7 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
-    "likelier_refused", "at_bound", "much_left", "laboratory", "poorly_foreseen",
+    "likelier_refused", "noise_likelier", "at_bound", "much_left", "laboratory", "poorly_foreseen",
     "smooth_kicks", "open_powers", "odd_power", "season", "passage",
 }  # fmt: skip
 """Why a law only describes the tracks."""

@@ -105,31 +105,46 @@ def test_what_came_before_a_cause_that_changes_nothing_stays(world):
     assert (second.decision.is_adopted, second.decision.reason) == (False, "predictions_no_better")
 
 
-@pytest.mark.parametrize("adopted", [PUSH, "1e-9 [m/s^2] * m_i * e_x"])  # worse, and no better
-@pytest.mark.parametrize("other, is_taken", [([GRAVITY], True), ([GRAVITY, PUSH, PUSH], False)])
-def test_in_the_place_of_a_refused_cause_comes_one_that_predictions_bear_out(
-    world, other, is_taken, adopted
-):
+def with_another(world, adopted, other, kind="force", behind=30.0):
+    """A round that adopts something, and has another law as its second, so many nats behind."""
     train, test = replace(world, scenes=world.scenes[:3]), world.scenes[3:]
-    done = round_of(1, train, [GRAVITY, PUSH], [GRAVITY, PUSH, adopted])
+    done = round_of(1, train, [GRAVITY, PUSH], adopted)
     third = Hypothesis.from_laws(train, other)
     rows = [
-        Row(k, "law", f"law {k}", "laws", "converged", nats, 0.0, nats, 4)
-        for k, nats in ((0, 0.0), (1, 90.0), (2, 60.0))
+        Row(k, "law", f"law {k}", "laws", "converged", nats, 0.0, nats, 4, own)
+        for k, nats, own in ((0, 0.0, "force"), (1, 90.0, kind), (2, 90.0 - behind, "force"))
     ]
     done = replace(
         done, table=HypothesisTable(tuple(rows), 1e-9),
         decision=replace(done.decision, best=rows[1], rivals=(rows[2],)),
         fits={**done.fits, 2: fit(third, train)}, hypotheses={**done.hypotheses, 2: third},
     )  # fmt: skip
-    told = foresight(world, test).instead(done, Criteria())
+    return done, foresight(world, test).instead(done, Criteria())
+
+
+@pytest.mark.parametrize("adopted", [PUSH, "1e-9 [m/s^2] * m_i * e_x"])  # worse, and no better
+@pytest.mark.parametrize("other, is_taken", [([GRAVITY], True), ([GRAVITY, PUSH, PUSH], False)])
+def test_in_the_place_of_a_refused_cause_comes_one_that_predictions_bear_out(
+    world, other, is_taken, adopted
+):
+    done, told = with_another(world, [GRAVITY, PUSH, adopted], other)
     assert (told is not done) == is_taken
     if is_taken:
-        assert told.decision.best is rows[2] and told.decision.rivals == (rows[1],)
+        first, second = done.table.rows[1:]
+        assert told.decision.best is second and told.decision.rivals == (first,)
         assert (told.decision.verdict, told.decision.reason) == (
             "effective law", "likelier_refused",
         )  # fmt: skip
         assert not told.decision.is_fact
+
+
+@pytest.mark.parametrize("behind, is_taken", [(5.0, True), (30.0, False)])
+def test_noise_foresees_nothing_and_gives_way_to_what_is_as_likely_and_does(
+    world, behind, is_taken
+):
+    done, told = with_another(world, [GRAVITY, PUSH], [GRAVITY], "noise", behind)
+    assert (told is not done) == is_taken
+    assert told.decision.reason == ("noise_likelier" if is_taken else "adopted")
 
 
 @pytest.mark.parametrize(
