@@ -108,8 +108,8 @@ REASONS = {
     "does not follow it within the noise",
     "likelier_refused": "what is likelier on the tracks in which laws are looked for makes "
     "predictions of what was held out no better; of the others it is the likeliest that does",
-    "noise_likelier": "noise with a memory is as likely on the tracks in which laws are looked for; "
-    "but it foresees nothing, and this does",
+    "noise_likelier": "noise with a memory is as likely on the tracks in which laws are looked "
+    "for; but it foresees nothing, and this does",
     "strength_varies": "it describes these tracks, but its strength is not the same everywhere",
     "slight": "what is left is little, and it takes up less than half of that and leaves more than "
     "noise: so do lenses, clocks and bobs that leave their plane",

@@ -138,7 +138,7 @@ def test_in_the_place_of_a_refused_cause_comes_one_that_predictions_bear_out(
         assert not told.decision.is_fact
 
 
-@pytest.mark.parametrize("behind, is_taken", [(5.0, True), (30.0, False)])
+@pytest.mark.parametrize("behind, is_taken", [(1.0, True), (30.0, False)])
 def test_noise_foresees_nothing_and_gives_way_to_what_is_as_likely_and_does(
     world, behind, is_taken
 ):
