@@ -16,8 +16,10 @@ SIDE_ROWS = (6, 10, 16, 24)
 DEGREE = 5
 """Of the smooth part of a motion along so many rows; fewer numbers than half of the rows."""
 CLEAR = 25.0
-"""Chi-squared by which a kink must explain rows better than motions without one: in 240 simulated
-smooth motions under white noise and noise with a memory none did."""
+"""Chi-squared by which a kink must explain rows better than motions without one, in a track of
+`USUAL` rows, and twice the logarithm of how many times as many: in 240 simulated smooth motions
+under white noise and noise with a memory none did."""
+USUAL = 100
 WITHIN = 2.0
 """Chi-squared of the rows, for each degree of freedom, that a kink may leave at the most."""
 SMOOTH = 4.0
@@ -25,6 +27,8 @@ SMOOTH = 4.0
 more rows such motions are no polynomials."""
 MEETING = 4.0
 """Errors within which both sides meet between the two rows: else the track jumps, not the speed."""
+OFF = 3
+"""Rows that may flicker together: where a smooth motion follows all others, there is no kink."""
 _CHUNK = 4096
 
 
@@ -64,10 +68,11 @@ def kinks(times, places):
         return []
     error, found = scatter(places), []
     moving = np.ptp(places, axis=0) > 0
+    clear = CLEAR + 2 * np.log(max(len(times) / USUAL, 1.0))
     for rows in SIDE_ROWS:
         for first in range(0, len(times) - 2 * rows + 1, _CHUNK):
             part = slice(first, first + _CHUNK + 2 * rows - 1)
-            own = _kinks(times[part], places[part][:, moving], rows, error)
+            own = _kinks(times[part], places[part][:, moving], rows, error, clear)
             found += [(first + at, kink) for at, kink in own]
     out = {}
     for at, kink in sorted(found, key=lambda each: -each[1].gain):
@@ -78,7 +83,7 @@ def kinks(times, places):
     return [out[at] for at in sorted(out)]
 
 
-def _kinks(times, places, rows, error):
+def _kinks(times, places, rows, error, clear):
     """Kinks as (row behind it, Kink), told by so many rows on each side."""
     if len(times) < 2 * rows:
         return []
@@ -102,7 +107,7 @@ def _kinks(times, places, rows, error):
     if variance > SMOOTH * error**2:
         return []
     gain = (np.minimum(smooth, bent) - left) / variance
-    is_clear = (gain > CLEAR) & (left < WITHIN * dof * variance)
+    is_clear = (gain > clear) & (left < WITHIN * dof * variance)
     out = []
     for k in np.flatnonzero(is_clear).tolist():
         if gain[k] < gain[max(k - rows, 0) : k + rows + 1].max():
@@ -111,6 +116,18 @@ def _kinks(times, places, rows, error):
         since = float(np.clip(-(slope @ step) / (slope @ slope), u[k, rows - 1], u[k, rows]))
         if np.abs(step + slope * since).max() > MEETING * error:
             continue
+        off = _without_rows([power[k] for power in powers[:-2]], x[k])
+        if off - left[k] < clear * variance:
+            continue
         turn = slope / span[k]
         out.append((k + rows, Kink(float(middle[k] + since * span[k]), turn, error, gain[k])))
     return out
+
+
+def _without_rows(columns, places):
+    """What smooth motions leave of rows at the least, where some that follow each other are off."""
+    first = np.arange(len(places) - OFF + 1)[:, None]
+    row = np.arange(len(places))
+    kept = ((row < first) | (row >= first + OFF)).astype(float)
+    columns = kept[..., None] * np.stack(columns, axis=-1)
+    return float(solved(columns, kept[..., None] * places)[1].min())

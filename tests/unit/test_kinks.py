@@ -86,3 +86,16 @@ def test_where_a_kick_is_all_that_is_missing_it_is_the_cause():
     report = close_loop(recorded(places), "g * m_i * e_x", n_bootstrap=0)
     assert report.verdict == "effect adopted" and report.rounds[0].effect.code == "contact"
     assert not any("velocity jumps" in note for note in report.dataset["notes"])
+
+
+def test_a_marker_that_flickers_for_some_rows_is_hit_by_nothing():
+    """Two gliders on a track of air were "hit" at instants at which a camera lost sight."""
+    rng, found = np.random.default_rng(2), 0
+    for _ in range(20):
+        times = 0.002 * np.arange(400)
+        places = np.stack([0.3 * times, 0.1 * times**2], axis=1)
+        places = places + 2e-5 * rng.standard_normal(places.shape)
+        first = int(rng.integers(50, 350))
+        places[first : first + 3] += 1.5e-4 * np.outer([0.4, 1.0, 0.5], rng.standard_normal(2))
+        found += len(kinks(times, places))
+    assert found == 0
