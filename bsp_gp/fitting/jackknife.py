@@ -29,6 +29,8 @@ def jackknife_errors(found):
     """
     n_constants = len(found.parameters)
     part, n_parts = _parts(found)
+    if not n_constants or found.is_failed:
+        return np.zeros(n_constants), n_parts
     level = np.array(found.noise.levels)[found.channels.axis]
     weight = np.where(found.channels.seen & np.isfinite(level), 1.0 / level, 0.0)
     shared, local, left = (
@@ -67,8 +69,9 @@ def _step(shared, local, left, chain):
     square, towards = np.zeros((k, k)), np.zeros(k)
     for own in np.unique(chain):
         mine = chain == own
+        n_rows = left.shape[1] * np.count_nonzero(mine)
         columns, states, rows = (
-            values[..., mine].reshape(len(values), -1) for values in (shared, local, left)
+            values[..., mine].reshape(len(values), n_rows) for values in (shared, local, left)
         )
         size = np.linalg.norm(states, axis=1)
         basis = np.linalg.qr((states[size > 0] / size[size > 0, None]).T)[0]

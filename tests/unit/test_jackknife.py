@@ -60,6 +60,12 @@ def test_where_more_than_noise_is_left_intervals_hold_what_parts_of_the_tracks_s
         assert abs(fitted(part).values[0] - told.value) < 3 * half
 
 
+def test_a_law_without_constants_has_none():
+    dataset = swinging(1, np.random.default_rng(0))
+    errors, _ = jackknife_errors(fit(Hypothesis.from_laws(dataset, []), dataset))
+    assert errors.shape == (0,)
+
+
 def halves(dataset):
     """Its scenes, or the one that it has, in two."""
     if len(dataset.scenes) > 1:
