@@ -327,19 +327,25 @@ def doubt_of_periods(rounds, removed):
     return ""
 
 
-def doubt_of_seasons(rounds, removed):
+def doubt_of_orbits(rounds, removed):
     """Why orbits that rounds have added are none for sure; "" where nothing says so.
 
     Stars are looked at from the Earth: what its year, half of it or its day does to instruments
-    and to when stars are seen comes back as a companion would.
+    and to when stars are seen comes back as a companion would. What did not come back as long as
+    the star was looked at may be of any form, and one of several orbits two.
     """
     for r in _kept(rounds, removed):
         found = r.fits[r.decision.best.id]
-        for part in found.law.frame:
-            if isinstance(part, Orbit) and part not in r.entering.law.frame:
-                period = found.law.constants[part.names[0]]
-                if any(abs(period / season - 1) < AS_LONG for season in SEASONS):
-                    return "season"
+        orbits = [part for part in found.law.frame if isinstance(part, Orbit)]
+        turns = FEWEST_PERIODS if len(orbits) > 1 else 1
+        for part in orbits:
+            period = found.law.constants[part.names[0]]
+            if part in r.entering.law.frame:
+                continue
+            if any(abs(period / season - 1) < AS_LONG for season in SEASONS):
+                return "season"
+            if period * turns > longest(found):
+                return "few_periods"
     return ""
 
 

@@ -95,7 +95,8 @@ REASONS = {
     "out are worse, though so few rows do not show it for sure",
     "at_bound": "a constant inside it ends at the bound of what it may be: another form is asked "
     "for",
-    "few_periods": "no recording is as long as two of its periods: it was not seen to come back",
+    "few_periods": "no recording is so long that it was seen to come back, and what does not may "
+    "be several, or of another form",
     "own_period": "its period is about that of the swing itself, or a part of it: whatever the law "
     "lacks otherwise looks like that",
     "odd_power": "a power that is no whole or half number, and a steady push beside it, follow "

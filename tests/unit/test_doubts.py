@@ -12,8 +12,8 @@ from bsp_gp.loop import writing_up
 from bsp_gp.loop.writing_up import (
     _own_doubt,
     doubt_of_bounds,
+    doubt_of_orbits,
     doubt_of_rest,
-    doubt_of_seasons,
     has_odd_power,
 )
 from tests.fitted_tracks import law_of
@@ -71,21 +71,40 @@ def test_beside_what_is_left_of_most_of_the_motion_no_law_is_sure(after, snr, ve
     assert doubt_of_rest(left(1.0), left(after), rounds, None) == ""
 
 
+def with_orbits(*days):
+    """A round that adds orbits to what is known of a star that was looked at for 7000 days."""
+    orbits = tuple(
+        Orbit(tuple(Parameter(f"{stem}{k}") for stem in ("P", "K", "longitude")), 0.0)
+        for k in range(len(days))
+    )
+    law = SimpleNamespace(frame=orbits, constants={f"P{k}": p * DAY_S for k, p in enumerate(days)})
+    seen = SimpleNamespace(times=np.array([[0.0], [7000.0]]) * DAY_S)
+    return SimpleNamespace(
+        number=1, fits={2: SimpleNamespace(law=law, channels=seen)},
+        entering=SimpleNamespace(law=SimpleNamespace(frame=())),
+        decision=SimpleNamespace(is_adopted=True, best=SimpleNamespace(id=2)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("days", "said"),
+    [((1079.0,), ""), ((6200.0,), ""), ((8000.0,), "few_periods"), ((1079.0, 2391.0), ""),
+     ((1079.0, 6200.0), "few_periods")],
+)  # fmt: skip
+def test_of_several_orbits_each_comes_back(days, said):
+    """Two outer planets of 47 UMa were one of 6200 d, a fact whose interval held neither."""
+    assert doubt_of_orbits([with_orbits(*days)], ()) == said
+
+
 @pytest.mark.parametrize(
     ("days", "said"),
     [(359.0, "season"), (182.0, "season"), (1.0, "season"), (4.23, ""), (405.0, "")],
 )
 def test_a_companion_that_comes_back_with_the_seasons_is_none_for_sure(days, said):
     """Beside the planet of a star that was seen for ten years another of 359 d was a fact."""
-    orbit = Orbit(tuple(Parameter(f"{stem}1") for stem in ("P", "K", "longitude")), 0.0)
-    with_orbit = SimpleNamespace(frame=(orbit,), constants={"P1": days * DAY_S})
-    made = SimpleNamespace(
-        number=1, fits={2: SimpleNamespace(law=with_orbit)},
-        entering=SimpleNamespace(law=SimpleNamespace(frame=())),
-        decision=SimpleNamespace(is_adopted=True, best=SimpleNamespace(id=2)),
-    )  # fmt: skip
-    assert doubt_of_seasons([made], ()) == said
-    assert doubt_of_seasons([made], {1}) == ""
+    made = with_orbits(days)
+    assert doubt_of_orbits([made], ()) == said
+    assert doubt_of_orbits([made], {1}) == ""
 
 
 @pytest.mark.parametrize(
