@@ -382,7 +382,8 @@ def _likely_header(head):
     """Number and delimiter of the line above the first row of numbers, else of the first line.
 
     Titles that are padded to the length of the rows are no names. Of comments above the rows the
-    last one that has as many words as these have cells is it.
+    last one that has as many words as these have cells is it. Where rows hold words as well, the
+    first line that is no comment is it, if it has none but names, one for every cell below.
     """
     first = next((k for k, s in enumerate(head) if s.strip() and not COMMENT.match(s)), len(head))
     comments = [k for k in reversed(range(first)) if not is_sentence(head[k])]
@@ -396,6 +397,8 @@ def _likely_header(head):
                 is_of_units = all(_BRACKETS.fullmatch(cell) for cell in cells if cell)
                 return (number - 1 if is_of_units and number else number), delimiter
     filled = [k for k, line in enumerate(head) if line.strip()]
+    is_plain = comments and any(_names_cells(head, first, mark) for mark in _DELIMITERS)
+    filled = filled[filled.index(first) :] if is_plain else filled
     first = number = next((k for k in filled if not is_sentence(head[k])), filled[0])
     counts = {mark: len(split_line(head[number], mark)) for mark in _DELIMITERS}
     marked = [mark for mark in _DELIMITERS[:-1] if counts[mark] > 1]
@@ -403,6 +406,13 @@ def _likely_header(head):
     while number < len(head) - 1 and _is_padded(split_line(head[number], delimiter)):
         number += 1
     return (first if _is_padded(split_line(head[number], delimiter)) else number), delimiter
+
+
+def _names_cells(head, number, delimiter):
+    """Whether a line has a name, and no number, for every cell of the row below, which has some."""
+    names = names_in(head, number, delimiter)
+    row = split_line(below(head, number), delimiter)
+    return len(names) == len(row) > 1 and any(map(_is_number, row)) > any(map(_is_number, names))
 
 
 def _is_padded(cells):
