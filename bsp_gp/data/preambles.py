@@ -118,7 +118,19 @@ def _qualisys(text, path):
     at = header.index("Time") if "Time" in header else None
     rows = [[f"{k / rate:.9g}" if at is None else row[at], *row] for k, row in enumerate(rows)]
     owners = [(1 + before + 3 * k, name) for k, name in enumerate(names)]
-    return _long(rows, lambda row: row[0], owners, "mm", path)
+    lost = {}
+    for row in rows:  # what no camera sees is written as the origin, on which no marker is exactly
+        for start, name in owners:
+            if all(_is_zero(cell) for cell in row[start : start + 3]):
+                row[start : start + 3] = ["", "", ""]
+                lost[name] = lost.get(name, 0) + 1
+    told = ", ".join(f"{name} ({count})" for name, count in lost.items())
+    note = f"rows in which a marker is at 0, 0, 0, as QTM writes what it has lost, are gaps: {told}"
+    return _long(rows, lambda row: row[0], owners, "mm", path), (note,) * bool(lost)
+
+
+def _is_zero(cell):
+    return _is_number(cell) and float(cell) == 0
 
 
 def _is_number(text):

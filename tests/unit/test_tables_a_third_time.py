@@ -27,3 +27,14 @@ def test_julian_dates_with_numbers_of_years_are_told(tmp_path):
     (told,) = [note for note in load_dataset(path).notes if "decimal years" in note]
     assert told.startswith("check:") and 'units={"t": "yr"}' in told
     assert not any("decimal years" in n for n in load_dataset(path, units={"t": "yr"}).notes)
+
+
+def test_markers_that_qualisys_lost_are_gaps_and_not_at_the_origin(tmp_path):
+    head = ["NO_OF_FRAMES\t9", "NO_OF_MARKERS\t2", "FREQUENCY\t10", "MARKER_NAMES\tone\ttwo"]
+    body = [f"{190 + k}.5\t457.9\t0.000\t" + ("0.000\t0.000\t0.000" if k < 3 else f"{k}.1\t5\t4")
+            for k in range(9)]  # fmt: skip
+    data = load_dataset(written(tmp_path, [*head, *body], "q.tsv"))
+    places = data.scenes[0].positions
+    assert np.isnan(places[:3, 1]).all() and not np.isnan(places[3:, 1]).any()
+    assert not np.isnan(places[:, 0]).any()
+    assert any("gaps: two (3)" in note for note in data.notes)
