@@ -262,8 +262,9 @@ def _by_instruments(table):
     """The table with the velocities of each instrument as a recording of its own."""
     if "scene" in table.frame:
         return table
-    names = [n for n, text in table.unused.items() if n in table.frame
-             and words_of(text) & INSTRUMENTS]  # fmt: skip
+    of = {n: words_of(text) for n, text in table.unused.items() if n in table.frame}
+    names = [n for n, words in of.items() if words & INSTRUMENTS]
+    names = names or [n for n, words in of.items() if words == {"source"}]
     if len(names) != 1:
         return table
     (name,) = names

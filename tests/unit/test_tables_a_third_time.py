@@ -4,8 +4,10 @@ The first two are in ``test_tables_of_strangers.py`` and ``test_tables_once_more
 """
 
 import numpy as np
+import pytest
 
 from bsp_gp import load_dataset
+from bsp_gp.errors import DataError
 from tests.text_tables import rows, written
 
 NIGHTS = np.round(2450000 + np.cumsum(1 + 9 * np.random.default_rng(1).random(12)), 3)
@@ -38,3 +40,35 @@ def test_markers_that_qualisys_lost_are_gaps_and_not_at_the_origin(tmp_path):
     assert np.isnan(places[:3, 1]).all() and not np.isnan(places[3:, 1]).any()
     assert not np.isnan(places[:, 0]).any()
     assert any("gaps: two (3)" in note for note in data.notes)
+
+
+def machine_readable(body):
+    return [
+        "Title: A Made-up Survey and", "       its Velocities", "Authors: Nobody N.", "=" * 80,
+        "Byte-by-byte Description of file: made_up.txt", "-" * 80,
+        "   Bytes Format Units   Label  Explanations", "-" * 80,
+        "   1-  5 A5     ---     Name   Name of the star",
+        "   7- 18 F12.4  d       BJD    Barycentric Julian Date",
+        "  20- 26 F7.2   km/s    RVel   ?=-999.99 Radial velocity",
+        "  28- 31 F4.2   km/s  e_RVel   Uncertainty in RVel",
+        "      33 A1     ---     Source Telescope (1)",
+        "  35- 38 F4.1   ---     SVal   ? Emission", "-" * 80, "Note (1):", "    a = one;",
+        "    b = two.", "-" * 80, *body,
+    ]  # fmt: skip
+
+
+def test_bytes_of_machine_readable_tables_tell_columns_and_units(tmp_path):
+    body = [f"   17 {t:12.4f} {v:7.2f} 0.03 {'ab'[k // 6]} {'' if k % 2 else '0.2'}"
+            for k, (t, v) in enumerate(zip(NIGHTS, SPEEDS, strict=True))]  # fmt: skip
+    body[3] = body[3].replace(f"{SPEEDS[3]:7.2f}", "-999.99")
+    body[0] = body[0].lstrip()  # as an editor leaves it
+    data = load_dataset(written(tmp_path, machine_readable(body), "t_mrt.txt"))
+    assert data.is_of_sight and [s.name for s in data.scenes] == ["a", "b"]
+    assert data.scenes[0].times / 86400 == pytest.approx(NIGHTS[[0, 1, 2, 4, 5]], rel=1e-12)
+    assert "km/s" in data.units.declared.values()
+    assert data.scenes[0].positions[:, 0, 0] == pytest.approx(SPEEDS[[0, 1, 2, 4, 5]])
+    assert data.scenes[1].sigma[0, 0, 0] == pytest.approx(0.03)
+    assert any("lost blanks at their beginning: 20" in note for note in data.notes)
+    body[5] = body[5].replace(" 0.03", "0.03")
+    with pytest.raises(DataError, match="words of line 25 cross the columns"):
+        load_dataset(written(tmp_path, machine_readable(body), "t_mrt.txt"))
