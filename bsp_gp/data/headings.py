@@ -32,7 +32,8 @@ NUMBER_COLUMNS = (
 )  # fmt: skip
 TEXT_COLUMNS = ("scene", "entity")
 ALIASES = {
-    "particle": "entity", "object": "entity", "track": "entity", "ra": "ra", "dec": "dec",
+    "particle": "entity", "object": "entity", "track": "entity", "targetname": "entity",
+    "ra": "ra", "dec": "dec",
     "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "right ascension": "ra",
     "declination": "dec", "epoch": "t", "jdtdb": "t", "jd_tdb": "t", "x_value": "t",
     **POLAR_ALIASES,
@@ -111,6 +112,7 @@ _OTHER_WORDS = word_set(
 _TURN_WORDS = word_set("orientation quaternion quat rotation attitude angular")
 """``pose.orientation.x`` is no place."""
 _PLACES = ("x", "y", "z")
+_ON_SKY = {"ra", "dec"}
 _ERROR_MARK = (
     r"(?:error|err|sigma|σ|stddev|stdev|std|sd|uncertainty|unc|fehler|unsicherheit|erreur|±)"
 )
@@ -749,19 +751,28 @@ def _with_dates(found):
 
 
 def _guessed(heading, names):
-    """A heading nothing plainer stands for, by its words; a distance beside an angle stays one."""
+    """A heading nothing plainer stands for, by its words; a distance beside an angle stays one.
+
+    Beside right ascension and declination nothing is guessed to be a place.
+    """
     if heading.sure != UNKNOWN or (heading.name.lower() == "distance" and "angle" in names):
         return heading
     unit = _CLOCK_UNITS.get(heading.name.lower())
     if unit and not heading.unit and "t" not in names:
         return replace(heading, name="t", unit=unit, sure=GUESS)
     ours = _guess(heading.name)
-    return heading if ours is None else replace(heading, name=ours, sure=GUESS)
+    is_other = ours is None or (ours in _PLACES and _ON_SKY <= names)
+    return heading if is_other else replace(heading, name=ours, sure=GUESS)
 
 
 def _with_bodies(found):
-    """``star1_x``, ``x_star1`` and ``x2`` as columns of bodies, where there is no plain x or y."""
+    """``star1_x``, ``x_star1`` and ``x2`` as columns of bodies, where there is no plain x or y.
+
+    Beside right ascension and declination they are offsets of something, ``sat_X``.
+    """
     found = _with_own_clocks(_with_body_of_run(found))
+    if _ON_SKY <= {h.name for h in found} and not any(h.is_renamed for h in found):
+        return found
     if any(h.name in ("x", "y") and h.sure < GUESS and not h.body for h in found):
         return found
     out = [_of_body(h) for h in found]

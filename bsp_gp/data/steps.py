@@ -95,7 +95,7 @@ def with_even_clocks(frame, columns):
     other share their times, as those do that were written twice: they are left alone.
     """
     clocks = [c for c in columns if frame[c].dtype.kind == "f"]
-    if "entity" in frame.columns or not clocks:
+    if not clocks or ("entity" in frame.columns and frame["entity"].nunique() > 1):
         return frame, ()
     keys = frame["scene"] if "scene" in frame.columns else pd.Series(0, frame.index)
     has_ties = any((frame[c].diff() == 0).any() for c in clocks)

@@ -72,3 +72,35 @@ def test_bytes_of_machine_readable_tables_tell_columns_and_units(tmp_path):
     body[5] = body[5].replace(" 0.03", "0.03")
     with pytest.raises(DataError, match="words of line 25 cross the columns"):
         load_dataset(written(tmp_path, machine_readable(body), "t_mrt.txt"))
+
+
+DAYS = 2462240.5 + np.arange(40) / 24
+
+
+def test_vectors_that_astroquery_sends_are_in_au_and_days(tmp_path):
+    """A swing past the Earth on a circle of half a turn a day."""
+    turn = np.pi * (DAYS - DAYS[0])
+    x, y = 1e-3 * np.cos(turn), 1e-3 * np.sin(turn)
+    names = ",targetname,datetime_jd,datetime_str,H,G,x,y,z,vx,vy,vz,lighttime,range,range_rate"
+    texts = ["9 Made Up"] * 40, map(repr, DAYS.tolist()), ["A.D. 2029-Apr-14"] * 40
+    moved = x, y, 0 * x, -np.pi * y, np.pi * x, 0 * x
+    body = rows(range(40), *texts, [19.7] * 40, [0.25] * 40, *moved, x, x, x)
+    data = load_dataset(written(tmp_path, [names, *body]))
+    assert data.scenes[0].names == ("9 Made Up",)
+    assert (data.units.declared["x"], data.units.declared["t"]) == ("au", "day")
+    assert any("headings are those of astroquery" in note for note in data.notes)
+    assert any("does not say from which body" in note for note in data.notes)
+
+
+@pytest.mark.parametrize("has_distance", [True, False])
+def test_ephemerides_that_astroquery_sends_are_places_on_the_sky(tmp_path, has_distance):
+    names = "targetname,datetime_str,datetime_jd,H,RA,DEC,sat_X,sat_Y,Longitude,Latitude"
+    ra, dec = 181 - np.arange(40) / 99, -10.9 + np.arange(40) ** 2 / 9999
+    body = [["9 Made Up"] * 40, ["2029-Apr-14 00:00"] * 40, np.round(DAYS, 3), [19.7] * 40, ra, dec,
+            1e5 + 9 * np.arange(40), 1e4 - 7 * np.arange(40), 11 + ra, dec]  # fmt: skip
+    more = [0.001 + np.arange(40) / 1e6] if has_distance else []
+    header = names + ",delta" * has_distance
+    data = load_dataset(written(tmp_path, [header, *rows(*body, *more)]))
+    assert data.scenes[0].names == ("9 Made Up",)
+    assert data.units.declared["length"] == ("au" if has_distance else "arcsec")
+    assert np.diff(data.scenes[0].times) == pytest.approx(3600, rel=1e-3)
