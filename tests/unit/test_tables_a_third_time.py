@@ -104,3 +104,20 @@ def test_ephemerides_that_astroquery_sends_are_places_on_the_sky(tmp_path, has_d
     assert data.scenes[0].names == ("9 Made Up",)
     assert data.units.declared["length"] == ("au" if has_distance else "arcsec")
     assert np.diff(data.scenes[0].times) == pytest.approx(3600, rel=1e-3)
+
+
+def test_numbered_names_that_excel_puts_above_what_it_loads_name_nothing(tmp_path):
+    names = "JDTDB, Calendar Date (TDB), X, Y, Z, VX, VY, VZ,"
+    body = [f"{2460000 + k}.0, A.D. 2023-Feb-24 12:00, {1 - k / 99}, {k / 9}, 0.1, 0, 0, 0,"
+            for k in range(9)]  # fmt: skip
+    whole = ["*" * 70, "Target body name: Made Up (9)   {source: JPL#80}", "*" * 70, names,
+             "*" * 70, "$$SOE", *body, "$$EOE"]  # fmt: skip
+    first = ",".join(f"Column{k}" for k in range(1, 9))
+    plain = ["t,x,y,A,B,C,D,E", *rows(*[range(9)] * 8)]
+    for lines, name in ((whole, "Made Up"), (plain, "object")):
+        path = written(tmp_path, [first, *lines])
+        data = load_dataset(path)
+        assert data.scenes[0].names == (name,)
+        assert any("of a spreadsheet" in note for note in data.notes)
+    numbers = written(tmp_path, [first, *plain[1:]])
+    assert len(load_dataset(numbers, columns={"t": "Column1", "x": "Column2"}).scenes[0].times) == 9
