@@ -121,3 +121,13 @@ def test_numbered_names_that_excel_puts_above_what_it_loads_name_nothing(tmp_pat
         assert any("of a spreadsheet" in note for note in data.notes)
     numbers = written(tmp_path, [first, *plain[1:]])
     assert len(load_dataset(numbers, columns={"t": "Column1", "x": "Column2"}).scenes[0].times) == 9
+
+
+def test_equal_neighbours_at_turning_points_are_no_held_readings(tmp_path):
+    t = np.arange(1500) / 5
+    x = np.round(100 * np.exp(-t / 300) * np.cos(2 * np.pi * t / 1.633)).astype(int)
+    data = load_dataset(written(tmp_path, ["t (s),x (px)", *rows(t, x)]))
+    assert len(data.scenes[0].times) == 1500
+    x[1::2] = x[::2]  # a logger that is faster than its sensor
+    data = load_dataset(written(tmp_path, ["t (s),x (px)", *rows(t, x)]))
+    assert len(data.scenes[0].times) < 900
