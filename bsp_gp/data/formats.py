@@ -72,6 +72,8 @@ class Table:
         Of a table without a column of times: the remedy where rows are no frames of a known rate.
     is_dated : bool
         Whether its times, in seconds, were dates.
+    steps : dict of str to float
+        Axis -> step of the grid that what its places were made of was printed on, in their unit.
     """
 
     frame: pd.DataFrame
@@ -88,6 +90,7 @@ class Table:
     unused: dict = field(default_factory=dict)
     untimed: str = ""
     is_dated: bool = False
+    steps: dict = field(default_factory=dict)
 
 
 def read_table(path, *, rename=None, as_text=False):

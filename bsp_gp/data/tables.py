@@ -436,6 +436,9 @@ def _assemble(table, roster, declaration, default_name):
             'velocity columns are not used; write [columns] velocity = "measured" if they were '
             "measured and are not differences of positions"
         )
+    n_dims = scenes[0].n_dims
+    steps = {axis: step * conversion.length(axis) for axis, step in table.steps.items()}
+    steps = tuple(steps.get(axis, 0.0) for axis in "xyz"[:n_dims]) if steps else ()
     provenance = dict(declaration.provenance)
     theirs = [k if k == v else f"{k} = {v!r}" for k, v in table.theirs.items()]
     if theirs != list(table.theirs):
@@ -455,8 +458,8 @@ def _assemble(table, roster, declaration, default_name):
             **(roster.units if roster else {}),
             **{name: unit for name, (_, unit) in rows.inputs.items()},
         },
-        up=_up(declaration, scenes[0].n_dims) or table.up,
-        noise=_noise(declaration, conversion, scenes[0].n_dims),
+        up=_up(declaration, n_dims) or table.up,
+        noise=_noise(declaration, conversion, n_dims),
         noise_memory=_noise_memory(declaration, conversion),
         logged={name: (heading, unit) for name, (heading, _, unit) in rows.logged.items()},
         velocity=declaration.velocity,
@@ -465,6 +468,7 @@ def _assemble(table, roster, declaration, default_name):
         provenance=provenance,
         notes=tuple(notes),
         is_film=declaration.fps is not None or Path(table.file).suffix.lower() == ".trk",
+        steps=steps,
     )
 
 

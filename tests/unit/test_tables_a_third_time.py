@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bsp_gp import load_dataset
+from bsp_gp.data.noise import estimate_noise
 from bsp_gp.errors import DataError
 from tests.text_tables import rows, written
 
@@ -131,3 +132,30 @@ def test_equal_neighbours_at_turning_points_are_no_held_readings(tmp_path):
     x[1::2] = x[::2]  # a logger that is faster than its sensor
     data = load_dataset(written(tmp_path, ["t (s),x (px)", *rows(t, x)]))
     assert len(data.scenes[0].times) < 900
+
+
+@pytest.mark.parametrize("form", ["sexagesimal", "degrees", "in space"])
+def test_places_on_the_sky_are_as_sure_as_their_last_digits(tmp_path, form):
+    k = np.arange(120)
+    ra = 57 * 60 + 39.98 - 0.0163 * k + 2e-6 * k**2  # seconds of time beyond 20 h
+    dec = 41 * 60 + 49.3 - 0.093 * k  # arcseconds
+    if form == "sexagesimal":
+        own = [[f"20 {s // 60:02.0f} {s % 60:05.2f}" for s in ra],
+               [f"-00 {s // 60:02.0f} {s % 60:04.1f}" for s in dec]]  # fmt: skip
+        least = np.array([0.15, 0.1]) / np.sqrt(12)
+    else:
+        own = [np.round(15 * (20 + ra / 3600), 5), np.round(-dec / 3600, 5)]
+        least = np.array([0.036, 0.036]) / np.sqrt(12)
+    header = "t (day),ra,dec" + ",distance (au)" * (form == "in space")
+    body = rows(NIGHTS[0] + k / 1440, *own, *[1 + np.sqrt(k) / 7] * (form == "in space"))
+    data = load_dataset(written(tmp_path, [header, *body]))
+    sigma = np.array(estimate_noise(data).sigma)
+    if form == "in space":
+        far = 149597870700 * np.sqrt(np.mean((1 + np.sqrt(k) / 7) ** 2))
+        assert 0.99 < sigma[2] / (np.radians(1e-5) / np.sqrt(12) * far) < 2
+        return
+    assert ((0.99 * least < sigma) & (sigma < 2 * least)).all()
+    far = load_dataset(written(tmp_path, [header, *body]), sky={"distance": "2 pc"})
+    assert np.array(estimate_noise(far).sigma) == pytest.approx(2 * sigma * 149597870700)
+    both = load_dataset([written(tmp_path, [header, *body], f"{n}.csv") for n in "ab"])
+    assert both.steps == data.steps != (0, 0)
