@@ -9,7 +9,7 @@ import numpy as np
 
 from bsp_gp.data.clock import slope_on_clock
 from bsp_gp.data.conversion import is_unit
-from bsp_gp.data.extent import JULIAN, are_within
+from bsp_gp.data.extent import JULIAN, YEARS, are_within
 from bsp_gp.data.header_lines import (
     COMMENT,
     below,
@@ -42,6 +42,8 @@ MOST_POWER = 300
 _UNITS_OF_TIME = tuple(math.log(n) for n in (1, 1e3, 1e6, 1e9, 60, 3600, 86400))
 _SAME_UNIT = 1e-3
 """How many of one unit another of a time is, and the part by which a clock may be off that."""
+OLD = 5.0
+"""How many times the span of a clock its first value is from 0 at least, if that is a year."""
 MOST_SHOWN = 6
 """Cells of a row that a complaint shows."""
 _DELIMITERS = (",", ";", "\t", None)
@@ -305,9 +307,14 @@ def _remedy_of_numbers(cells, lines, delimiter):
     remedy = "add a header such as t,x,y, or say which column is which by its number: "
     columns = _columns_of(lines, delimiter, cells)
     clocks = clocks_among(list(columns.values()))
-    if columns and are_within(*_ends(next(iter(columns.values()))), (JULIAN,)):
-        by_number = ("--columns t=1 x=2 sx=3, or t=1 rv=2 srv=3 of velocities along the line of "
-                     "sight (the third being their errors)")  # fmt: skip
+    unit = _unit_of_dates(columns.get(1, ())) if len(columns) > 2 else ""
+    if unit:
+        of_y = " y=4 sy=5" * ({4, 5} <= {*columns})
+        by_number = (
+            f"--columns t=1 x=2 sx=3{of_y}, or t=1 rv=2 srv=3 of velocities along the line of "
+            f"sight ({'the third and the fifth' if of_y else 'the third'} being their errors)"
+        )
+        by_number += " with --units t=yr where dates are years" if unit == "yr" else ""
     elif clocks:
         by_number = _by_clock(columns, [list(columns)[k] for k in clocks])
     elif columns and not any(_rises(own, ANY_RISE) for own in columns.values()):
@@ -319,6 +326,15 @@ def _remedy_of_numbers(cells, lines, delimiter):
     if _are_places(cells):
         by_number += ", if that line is a row; if it numbers the columns itself, --columns t=0 x=1"
     return remedy + by_number
+
+
+def _unit_of_dates(cells):
+    """What the numbers of a first column count if they are dates: Julian days, or years; or ""."""
+    ends = _ends(cells) if len(cells) else (0.0, 0.0)
+    if are_within(*ends, (JULIAN,)):
+        return "day"
+    is_whole = all(value == round(value) for value in _numbers(cells))
+    return "yr" if are_within(*ends, (YEARS,)) and not is_whole and _age(cells) > OLD else ""
 
 
 def _by_clock(columns, clocks):
@@ -336,8 +352,11 @@ def _by_clock(columns, clocks):
     x = moving[0] if moving else next(k for k in (2, 1) if k != clock)
     pushes = " ".join(f"a{axis}={k}" for axis, k in zip("xyz", moving, strict=False))
     again = "".join(f"; column {k} is the same clock" for k in clocks[1:])
+    sides = zip(("a_x", "a_y", "b_x", "b_y"), moving, strict=False)
+    beside = " ".join(f"{name}={k}" for name, k in sides)
+    beside = f"; of bodies side by side {beside}" if len(moving) > 3 else ""
     return (f"--columns t={clock} x={x} (column {clock} increases from row to row{again}; y=, z= "
-            f"of further axes; t={clock} {pushes} of accelerations)")  # fmt: skip
+            f"of further axes; t={clock} {pushes} of accelerations{beside})")  # fmt: skip
 
 
 def _columns_of(lines, delimiter, cells):

@@ -159,3 +159,30 @@ def test_places_on_the_sky_are_as_sure_as_their_last_digits(tmp_path, form):
     assert np.array(estimate_noise(far).sigma) == pytest.approx(2 * sigma * 149597870700)
     both = load_dataset([written(tmp_path, [header, *body], f"{n}.csv") for n in "ab"])
     assert both.steps == data.steps != (0, 0)
+
+
+@pytest.mark.parametrize(
+    "count, told",
+    [
+        (3, "t=1 x=2 sx=3, or t=1 rv=2 srv=3 of"),
+        (5, "t=1 x=2 sx=3 y=4 sy=5, or t=1 rv=2 srv=3 of"),
+    ],
+)
+def test_years_beside_errors_without_names_are_told_as_such(tmp_path, count, told):
+    years = np.round(1995.439 + (NIGHTS - NIGHTS[0]) / 6, 3)
+    columns = [years, SPEEDS, [1.5] * 12, SPEEDS, [1.5] * 12][:count]
+    path = written(tmp_path, rows(*columns, ["Keck"] * 12, mark=" "), "s2.dat")
+    with pytest.raises(DataError) as caught:
+        load_dataset(path)
+    assert told in caught.value.remedy and "--units t=yr" in caught.value.remedy
+    named = {"t": "1", "rv": "2", "srv": "3"}
+    data = load_dataset(path, columns=named, units={"t": "yr"})
+    assert data.is_of_sight and len(data.scenes[0].times) == 12
+
+
+def test_four_columns_beside_a_clock_may_be_two_bodies(tmp_path):
+    wave = np.round(np.sin(np.arange(12)), 3)
+    path = written(tmp_path, rows(np.arange(12) / 100, wave, -wave, 3 * wave, 2 * wave))
+    with pytest.raises(DataError) as caught:
+        load_dataset(path)
+    assert "side by side a_x=2 a_y=3 b_x=4 b_y=5" in caught.value.remedy
