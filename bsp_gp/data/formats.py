@@ -413,8 +413,18 @@ def _read_frame(source, layout, as_text):
     if _pandas_version() < (3, 1):
         options["float_precision"] = "round_trip"  # later versions are exact without being asked
     frame = _parse(source, options, numeric, text, names)
+    for key in set(keys) - {*text} if layout.decimal == "," else ():
+        frame[key] = _with_points(frame[key])
     frame.index = range(layout.data_line + 1, layout.data_line + 1 + len(frame))
     return frame[~frame.isna().all(axis=1)] if frame.isna().all(axis=1).any() else frame
+
+
+def _with_points(cells):
+    """A column of texts as numbers, where some have a comma and some, such as 0.0, a point."""
+    if pd.api.types.is_numeric_dtype(cells) or cells.isna().all():
+        return cells
+    numbers = pd.to_numeric(cells.str.replace(",", "."), errors="coerce")
+    return cells if (numbers.isna() & cells.notna()).any() else numbers.astype(float)
 
 
 def _pandas_version():

@@ -169,6 +169,8 @@ def _evened(times):
 def _frames(k, v, digit):
     """Numbers (n,) of the frames of rows k at times v, which are off by a digit at the most."""
     step, frames = np.median((v[MANY:] - v[:-MANY]) / (k[MANY:] - k[:-MANY])), k.astype(float)
+    if not step > 0:  # most rows share their times with many: no clock of frames
+        return frames
     for _ in range(2):
         behind = (v - v[0]) / step - (frames - frames[0])
         lost = np.diff(np.maximum.accumulate(np.maximum(behind - digit / step, 0.0)), prepend=0.0)

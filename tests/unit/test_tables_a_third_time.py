@@ -186,3 +186,17 @@ def test_four_columns_beside_a_clock_may_be_two_bodies(tmp_path):
     with pytest.raises(DataError) as caught:
         load_dataset(path)
     assert "side by side a_x=2 a_y=3 b_x=4 b_y=5" in caught.value.remedy
+
+
+def test_exponents_that_a_spreadsheet_has_made_are_told(tmp_path, capfd):
+    """3.53E-2 became 3,53E+07, and times that are the same for many rows; some cells stayed."""
+    t = np.repeat(np.arange(1, 41), 60) / 100
+    texts = [f"{1e9 * v:.2E}".replace(".", ",") for v in t]
+    shown = [f"{9.81e9 + 1e7 * (k % 7):.3E}".replace(".", ",") for k in range(len(t))]
+    shown[60] = "0.000000000E0"
+    header = "Time (s); Acceleration x (m/s^2)"
+    path = written(tmp_path, [header, *rows(texts, shown, mark=";")])
+    with pytest.raises(DataError, match="which no sensor shows") as caught:
+        load_dataset(path)
+    assert "3.5E-02" in caught.value.remedy and caught.value.column == "Acceleration x (m/s^2)"
+    assert "DLASCL" not in "".join(capfd.readouterr())
