@@ -315,12 +315,18 @@ def _roughness(values):
 
 
 def _parts(times, rows):
-    """Rows of a track up to its gaps: steps that grow as a wheel slows down are none."""
+    """Rows of a track up to its gaps: steps that grow as a wheel slows down are none.
+
+    Nor are those of a clock that waits once in a few rows, as one does that writes them out.
+    """
     steps = np.diff(times[rows])
     if not len(steps) or not np.median(steps) > 0:  # told where times are checked
         return [rows]
     usual = np.maximum(ndimage.median_filter(steps, NEIGHBOURS, mode="nearest"), np.median(steps))
-    return np.split(rows, np.flatnonzero(steps > GAP * usual) + 1)
+    is_gap = steps > GAP * usual
+    if NEIGHBOURS * np.count_nonzero(is_gap) > len(steps):
+        is_gap = steps > GAP * np.maximum(usual, np.median(steps[is_gap]))
+    return np.split(rows, np.flatnonzero(is_gap) + 1)
 
 
 def _track(table, times, values, rows, rates):

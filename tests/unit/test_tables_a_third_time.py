@@ -200,3 +200,29 @@ def test_exponents_that_a_spreadsheet_has_made_are_told(tmp_path, capfd):
         load_dataset(path)
     assert "3.5E-02" in caught.value.remedy and caught.value.column == "Acceleration x (m/s^2)"
     assert "DLASCL" not in "".join(capfd.readouterr())
+
+
+def test_one_column_below_settings_is_proposed_as_such(tmp_path):
+    numbers = [f"{90 * np.cos(k / 9):.2f}" for k in range(90)]
+    path = written(tmp_path, ["start_deg, sample_rate, duration", "90, 100, 5", *numbers], "s.txt")
+    with pytest.raises(DataError, match="row has 1 cells") as caught:
+        load_dataset(path)
+    assert "--columns x=1 --fps 25" in caught.value.remedy
+    assert len(load_dataset(path, columns={"x": "1"}, fps=100).scenes[0].times) == 90
+
+
+def test_a_clock_that_waits_every_tenth_row_has_no_gaps(tmp_path):
+    waits = np.where(np.arange(400) % 10 == 7, 12, 2)
+    waits[200] = 5000
+    t = np.cumsum(waits) / 1000
+    path = written(tmp_path, ["t (s),v (m/s)", *rows(np.round(t, 3), np.round(np.sin(t), 4))])
+    data = load_dataset(path)
+    assert [len(scene.times) for scene in data.scenes] == [201, 201]
+
+
+def test_what_cannot_be_an_input_is_not_proposed_as_one(tmp_path):
+    wave = np.round(np.sin(np.arange(30) / 3), 4)
+    for names, is_told in (("t,x,y,tau1", True), ("t,pos1,pos2,tau1", False)):
+        body = rows(np.arange(30) / 10, wave, -wave, 2 * wave)
+        data = load_dataset(written(tmp_path, [names, *body]))
+        assert any("may drive the motion" in note for note in data.notes) == is_told
