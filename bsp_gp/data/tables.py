@@ -486,18 +486,20 @@ _HEADINGS = frozenset("heading attitude yaw bow azimuth orientation kurs cap rum
 
 
 def _unused(table, inputs):
-    """A note of what is not read of a table."""
-    names = [theirs for name, theirs in table.unused.items() if name not in inputs]
+    """A note of what is not read of a table, and of what of it may be an input."""
+    unused = {name: theirs for name, theirs in table.unused.items() if name not in inputs}
+    names = list(unused.values())
+    able = [theirs for name, theirs in unused.items() if name in table.frame]  # of bodies none is
+    able = [theirs for theirs in able if theirs.isidentifier()]
     more = f" and {len(names) - MAX_COLUMNS} more" if len(names) > MAX_COLUMNS else ""
     note = [f"not used: {', '.join(names[:MAX_COLUMNS])}{more}"] if names else []
-    where = [name for name in names if name.isidentifier() and plain_words(name) & _HEADINGS]
+    where = [name for name in able if plain_words(name) & _HEADINGS]
     if where:
         note.append(
             f"column {where[0]} may say how the body is turned: --units {where[0]}=deg makes it an "
             "input of laws, which may then act along and across the body's own axis"
         )
-    plain = {n: plain_words(n.rstrip("0123456789")) for n in names if n.isidentifier()}
-    driving = [name for name, words in plain.items() if words & _DRIVES]
+    driving = [n for n in able if plain_words(n.rstrip("0123456789")) & _DRIVES]
     if driving:
         note.append(
             f"column {driving[0]} may drive the motion: --units {driving[0]}=UNIT makes it an "
