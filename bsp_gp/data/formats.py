@@ -376,6 +376,11 @@ def _refuse_uneven(source, layout, head, line, count):
     first = "the header" if has_header else "the first row"
     rows = [split_line(text, layout.delimiter) for text in head[layout.data_line :] if text.strip()]
     by_number = _BY_NUMBER * (has_header and len(set(map(len, rows))) == 1 < len(rows[0]))
+    if set(map(len, rows[line - 1 - layout.data_line :])) == {1} and line > 2:
+        by_number = (
+            f"; of one column of numbers below {line - 1} lines of settings, evenly spaced, say "
+            "how many there are in a second: --columns x=1 --fps 25"
+        )
     lacking = [h.theirs or str(k + 1) for k, h in enumerate(layout.headings)][count:]
     told = f": it lacks {', '.join(lacking)}" if lacking else ""
     options = " ".join(f"{quoted(name)}=ignore" for name in lacking)
