@@ -120,6 +120,10 @@ _ERROR_OF = re.compile(rf"{_ERROR_MARK}(?:of)?(.*)|(.+?){_ERROR_MARK}")
 """Whose error a heading is, without blanks; ``dx``, ``e_x`` and ``u_x`` are other things too."""
 _ANGLE = re.compile(rf"(?:{'|'.join(sorted(words_for('angle')))})[\s_-]?(\w*)")
 """An angle, and whose it is: ``theta``, ``phi1``, ``angle_upper``."""
+_DOTTED = re.compile(
+    rf"(?:[a-z]|pos|{'|'.join(sorted(words_for('angle')))})[\s_]?\d*[\s_]?d?dot[\s_]?\d*"
+)
+"""A rate, as it is named after Newton's dots: ``x_dot``, ``thetaddot``, ``theta1_dot``."""
 _BEFORE_ANGLE = r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)"
 """An angle, a mark, and its unit."""
 _COUNT_WORDS = word_set("nr no number num nummer index idx # id n° nº numéro número numero of the")
@@ -346,7 +350,11 @@ def is_id(text):
 def is_error(text):
     """Whether a heading speaks of an error, a fit or a speed, which is no place of a body."""
     no_place = _ERROR_WORDS | _SPEED_WORDS | _ACCELERATION_WORDS | _OTHER_WORDS
-    return bool(words_of(text) & no_place)
+    return _is_dotted(text) or bool(words_of(text) & no_place)
+
+
+def _is_dotted(text):
+    return _DOTTED.fullmatch(folded(text.strip())) is not None
 
 
 def is_rate_of(text):
@@ -936,7 +944,7 @@ def _as_angle(heading):
     if not unit and cut:
         stem, unit = cut[1], cut[2]
     match = _ANGLE.fullmatch(folded(stem))
-    if not match or is_error(match[1]) or (unit and not is_angle(unit)):
+    if not match or _is_dotted(stem) or is_error(match[1]) or (unit and not is_angle(unit)):
         return heading
     return replace(heading, name="x", unit=unit, body=stem, sure=GUESS)
 
