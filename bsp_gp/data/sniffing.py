@@ -9,7 +9,7 @@ import numpy as np
 
 from bsp_gp.data.clock import slope_on_clock
 from bsp_gp.data.conversion import is_unit
-from bsp_gp.data.extent import JULIAN, YEARS, are_within
+from bsp_gp.data.extent import JULIAN, MODIFIED, YEARS, are_within
 from bsp_gp.data.header_lines import (
     COMMENT,
     below,
@@ -42,8 +42,9 @@ MOST_POWER = 300
 _UNITS_OF_TIME = tuple(math.log(n) for n in (1, 1e3, 1e6, 1e9, 60, 3600, 86400))
 _SAME_UNIT = 1e-3
 """How many of one unit another of a time is, and the part by which a clock may be off that."""
-OLD = 5.0
-"""How many times the span of a clock its first value is from 0 at least, if that is a year."""
+OLD, UNEVEN = 5.0, 2.0
+"""How many times the span of a clock its first value is from 0 at least, if that is a date; and the
+upper quartile of its steps, in the lower one, at least."""
 MOST_SHOWN = 6
 """Cells of a row that a complaint shows."""
 _DELIMITERS = (",", ";", "\t", None)
@@ -333,8 +334,11 @@ def _unit_of_dates(cells):
     ends = _ends(cells) if len(cells) else (0.0, 0.0)
     if are_within(*ends, (JULIAN,)):
         return "day"
-    is_whole = all(value == round(value) for value in _numbers(cells))
-    return "yr" if are_within(*ends, (YEARS,)) and not is_whole and _age(cells) > OLD else ""
+    steps = sorted(_steps(cells))
+    is_even = not steps or steps[3 * len(steps) // 4] < UNEVEN * steps[len(steps) // 4]
+    if is_even or _age(cells) < OLD or all(value == round(value) for value in _numbers(cells)):
+        return ""  # a clock
+    return "yr" if are_within(*ends, (YEARS,)) else "day" if are_within(*ends, (MODIFIED,)) else ""
 
 
 def _by_clock(columns, clocks):

@@ -32,6 +32,7 @@ _OWN_FORMATS = {
     ".spklab": "a file of SPARKvue; there, choose Export Data",
     ".phyphox": "an experiment of phyphox; there, choose Export Data > CSV",
     ".labx": "a file of CASSY Lab 2; there, choose File > Export as a text (.txt)",
+    ".c3d": "a binary file of motion capture; export it there as .trc or CSV",
     ".oem": "an orbit ephemeris message; write its rows as a table with the header t,x,y,z",
 }
 """What other programs keep for themselves, and how to get a table out of them."""

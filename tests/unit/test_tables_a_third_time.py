@@ -175,6 +175,11 @@ def test_years_beside_errors_without_names_are_told_as_such(tmp_path, count, tol
     with pytest.raises(DataError) as caught:
         load_dataset(path)
     assert told in caught.value.remedy and "--units t=yr" in caught.value.remedy
+    lines = rows(NIGHTS - 2400000.5, *columns[1:], ["Keck"] * 12, mark=" ")
+    days = written(tmp_path, lines, "mjd.dat")
+    with pytest.raises(DataError) as caught:
+        load_dataset(days)
+    assert told in caught.value.remedy and "--units" not in caught.value.remedy
     named = {"t": "1", "rv": "2", "srv": "3"}
     data = load_dataset(path, columns=named, units={"t": "yr"})
     assert data.is_of_sight and len(data.scenes[0].times) == 12
