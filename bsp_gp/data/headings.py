@@ -158,8 +158,8 @@ _SHORT_BESIDE = word_set(
 _FAR_WORDS = word_set("distance dist delta range abstand entfernung distanz distancia distanza")
 """Beside places in the sky: how far that is."""
 _PROCESSED_WORDS = word_set(
-    "raw smooth smoothed filtered filter pixel pixels px image screen offset min max mean average"
-    " center centre target roh geglättet origin scale old new next previous prev"
+    "raw noisy smooth smoothed filtered filter pixel pixels px image screen offset min max mean"
+    " average center centre target roh geglättet origin scale old new next previous prev"
 )
 """Of one body's places a second time."""
 _BODY_WORDS = word_set(
@@ -901,6 +901,11 @@ def _with_angles(found):
     if has_place(found) or any(_guess(h.name) in ("x", "y") for h in found if h.sure == UNKNOWN):
         return found
     out = [_as_angle(h) for h in found]
+    named = [frozenset(words_of(h.body)) for h in out]
+    out = [  # of one that was smoothed, or made noisy, the plain one is it
+        old if words & _PROCESSED_WORDS and words - _PROCESSED_WORDS in named else h
+        for h, old, words in zip(out, found, named, strict=True)
+    ]
     angles = [(h.run, h.body) for h, old in zip(out, found, strict=True) if h is not old]
     bodies = {body for _, body in angles}
     if not angles:
