@@ -7,8 +7,8 @@ from bsp_gp.units import OF_THE_SKY, Unit, parse_unit
 ASTRONOMICAL = 1e6
 """Size of the data from which an attraction is gravity, and nothing is held, m."""
 
-YEARS, JULIAN = (1500.0, 2200.0), (2.2e6, 2.6e6)
-"""Numbers that are decimal years, and Julian dates in days."""
+YEARS, JULIAN, MODIFIED = (1500.0, 2200.0), (2.2e6, 2.6e6), (15_000.0, 100_000.0)
+"""Numbers that are decimal years, and Julian dates and modified ones in days."""
 DATED = ((YEARS, 0.5), (JULIAN, 1.0))
 """What times without a unit may be, and how long a recording of the sky is in it."""
 

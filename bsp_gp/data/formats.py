@@ -72,6 +72,8 @@ class Table:
         Of a table without a column of times: the remedy where rows are no frames of a known rate.
     is_dated : bool
         Whether its times, in seconds, were dates.
+    steps : dict of str to float
+        Axis -> step of the grid that what its places were made of was printed on, in their unit.
     """
 
     frame: pd.DataFrame
@@ -88,6 +90,7 @@ class Table:
     unused: dict = field(default_factory=dict)
     untimed: str = ""
     is_dated: bool = False
+    steps: dict = field(default_factory=dict)
 
 
 def read_table(path, *, rename=None, as_text=False):
@@ -373,6 +376,11 @@ def _refuse_uneven(source, layout, head, line, count):
     first = "the header" if has_header else "the first row"
     rows = [split_line(text, layout.delimiter) for text in head[layout.data_line :] if text.strip()]
     by_number = _BY_NUMBER * (has_header and len(set(map(len, rows))) == 1 < len(rows[0]))
+    if set(map(len, rows[line - 1 - layout.data_line :])) == {1} and line > 2:
+        by_number = (
+            f"; of one column of numbers below {line - 1} lines of settings, evenly spaced, say "
+            "how many there are in a second: --columns x=1 --fps 25"
+        )
     lacking = [h.theirs or str(k + 1) for k, h in enumerate(layout.headings)][count:]
     told = f": it lacks {', '.join(lacking)}" if lacking else ""
     options = " ".join(f"{quoted(name)}=ignore" for name in lacking)
@@ -410,8 +418,18 @@ def _read_frame(source, layout, as_text):
     if _pandas_version() < (3, 1):
         options["float_precision"] = "round_trip"  # later versions are exact without being asked
     frame = _parse(source, options, numeric, text, names)
+    for key in set(keys) - {*text} if layout.decimal == "," else ():
+        frame[key] = _with_points(frame[key])
     frame.index = range(layout.data_line + 1, layout.data_line + 1 + len(frame))
     return frame[~frame.isna().all(axis=1)] if frame.isna().all(axis=1).any() else frame
+
+
+def _with_points(cells):
+    """A column of texts as numbers, where some have a comma and some, such as 0.0, a point."""
+    if pd.api.types.is_numeric_dtype(cells) or cells.isna().all():
+        return cells
+    numbers = pd.to_numeric(cells.str.replace(",", "."), errors="coerce")
+    return cells if (numbers.isna() & cells.notna()).any() else numbers.astype(float)
 
 
 def _pandas_version():

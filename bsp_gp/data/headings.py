@@ -32,7 +32,8 @@ NUMBER_COLUMNS = (
 )  # fmt: skip
 TEXT_COLUMNS = ("scene", "entity")
 ALIASES = {
-    "particle": "entity", "object": "entity", "track": "entity", "ra": "ra", "dec": "dec",
+    "particle": "entity", "object": "entity", "track": "entity", "targetname": "entity",
+    "ra": "ra", "dec": "dec",
     "sra": "sra", "sdec": "sdec", "right_ascension": "ra", "right ascension": "ra",
     "declination": "dec", "epoch": "t", "jdtdb": "t", "jd_tdb": "t", "x_value": "t",
     **POLAR_ALIASES,
@@ -111,6 +112,7 @@ _OTHER_WORDS = word_set(
 _TURN_WORDS = word_set("orientation quaternion quat rotation attitude angular")
 """``pose.orientation.x`` is no place."""
 _PLACES = ("x", "y", "z")
+_ON_SKY = {"ra", "dec"}
 _ERROR_MARK = (
     r"(?:error|err|sigma|σ|stddev|stdev|std|sd|uncertainty|unc|fehler|unsicherheit|erreur|±)"
 )
@@ -118,6 +120,10 @@ _ERROR_OF = re.compile(rf"{_ERROR_MARK}(?:of)?(.*)|(.+?){_ERROR_MARK}")
 """Whose error a heading is, without blanks; ``dx``, ``e_x`` and ``u_x`` are other things too."""
 _ANGLE = re.compile(rf"(?:{'|'.join(sorted(words_for('angle')))})[\s_-]?(\w*)")
 """An angle, and whose it is: ``theta``, ``phi1``, ``angle_upper``."""
+_DOTTED = re.compile(
+    rf"(?:[a-z]|pos|{'|'.join(sorted(words_for('angle')))})[\s_]?\d*[\s_]?d?dot[\s_]?\d*"
+)
+"""A rate, as it is named after Newton's dots: ``x_dot``, ``thetaddot``, ``theta1_dot``."""
 _BEFORE_ANGLE = r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)"
 """An angle, a mark, and its unit."""
 _COUNT_WORDS = word_set("nr no number num nummer index idx # id n° nº numéro número numero of the")
@@ -152,8 +158,8 @@ _SHORT_BESIDE = word_set(
 _FAR_WORDS = word_set("distance dist delta range abstand entfernung distanz distancia distanza")
 """Beside places in the sky: how far that is."""
 _PROCESSED_WORDS = word_set(
-    "raw smooth smoothed filtered filter pixel pixels px image screen offset min max mean average"
-    " center centre target roh geglättet origin scale old new next previous prev"
+    "raw noisy smooth smoothed filtered filter pixel pixels px image screen offset min max mean"
+    " average center centre target roh geglättet origin scale old new next previous prev"
 )
 """Of one body's places a second time."""
 _BODY_WORDS = word_set(
@@ -344,7 +350,11 @@ def is_id(text):
 def is_error(text):
     """Whether a heading speaks of an error, a fit or a speed, which is no place of a body."""
     no_place = _ERROR_WORDS | _SPEED_WORDS | _ACCELERATION_WORDS | _OTHER_WORDS
-    return bool(words_of(text) & no_place)
+    return _is_dotted(text) or bool(words_of(text) & no_place)
+
+
+def _is_dotted(text):
+    return _DOTTED.fullmatch(folded(text.strip())) is not None
 
 
 def is_rate_of(text):
@@ -749,19 +759,28 @@ def _with_dates(found):
 
 
 def _guessed(heading, names):
-    """A heading nothing plainer stands for, by its words; a distance beside an angle stays one."""
+    """A heading nothing plainer stands for, by its words; a distance beside an angle stays one.
+
+    Beside right ascension and declination nothing is guessed to be a place.
+    """
     if heading.sure != UNKNOWN or (heading.name.lower() == "distance" and "angle" in names):
         return heading
     unit = _CLOCK_UNITS.get(heading.name.lower())
     if unit and not heading.unit and "t" not in names:
         return replace(heading, name="t", unit=unit, sure=GUESS)
     ours = _guess(heading.name)
-    return heading if ours is None else replace(heading, name=ours, sure=GUESS)
+    is_other = ours is None or (ours in _PLACES and _ON_SKY <= names)
+    return heading if is_other else replace(heading, name=ours, sure=GUESS)
 
 
 def _with_bodies(found):
-    """``star1_x``, ``x_star1`` and ``x2`` as columns of bodies, where there is no plain x or y."""
+    """``star1_x``, ``x_star1`` and ``x2`` as columns of bodies, where there is no plain x or y.
+
+    Beside right ascension and declination they are offsets of something, ``sat_X``.
+    """
     found = _with_own_clocks(_with_body_of_run(found))
+    if _ON_SKY <= {h.name for h in found} and not any(h.is_renamed for h in found):
+        return found
     if any(h.name in ("x", "y") and h.sure < GUESS and not h.body for h in found):
         return found
     out = [_of_body(h) for h in found]
@@ -882,6 +901,11 @@ def _with_angles(found):
     if has_place(found) or any(_guess(h.name) in ("x", "y") for h in found if h.sure == UNKNOWN):
         return found
     out = [_as_angle(h) for h in found]
+    named = [frozenset(words_of(h.body)) for h in out]
+    out = [  # of one that was smoothed, or made noisy, the plain one is it
+        old if words & _PROCESSED_WORDS and words - _PROCESSED_WORDS in named else h
+        for h, old, words in zip(out, found, named, strict=True)
+    ]
     angles = [(h.run, h.body) for h, old in zip(out, found, strict=True) if h is not old]
     bodies = {body for _, body in angles}
     if not angles:
@@ -925,7 +949,7 @@ def _as_angle(heading):
     if not unit and cut:
         stem, unit = cut[1], cut[2]
     match = _ANGLE.fullmatch(folded(stem))
-    if not match or is_error(match[1]) or (unit and not is_angle(unit)):
+    if not match or _is_dotted(stem) or is_error(match[1]) or (unit and not is_angle(unit)):
         return heading
     return replace(heading, name="x", unit=unit, body=stem, sure=GUESS)
 

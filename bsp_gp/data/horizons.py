@@ -15,6 +15,7 @@ import numpy as np
 
 from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK
+from bsp_gp.data.sky import is_sky
 from bsp_gp.errors import DataError, in_python
 
 BEGIN, END = "$$SOE", "$$EOE"
@@ -107,10 +108,10 @@ _DAY, _FAR = 86_400.0, 1e4
 
 
 def without_header(table, declaration):
-    """The units of a vector table that has kept Horizons' headings and lost all above them.
+    """The units of a table that has kept Horizons' headings, or astroquery's for what it sends.
 
     Days are those of its dates; whether places are in km or au, and velocities per second or per
-    day, is told by their steps.
+    day, is told by their steps. Distances of astroquery are in au, its angles in degrees.
 
     Parameters
     ----------
@@ -118,8 +119,16 @@ def without_header(table, declaration):
     declaration : Declaration
         Units that it gives are not asked for.
     """
-    is_own = any(text.startswith("Calendar Date") for text in table.unused.values())
-    if table.theirs.get("t", "").upper() != "JDTDB" or not is_own or "x" not in table.frame:
+    clock, others = table.theirs.get("t", ""), {text.split(" ")[0] for text in table.present}
+    is_query = clock == "datetime_jd" and {"targetname", "datetime_str"} <= others
+    if not is_query and not (clock.upper() == "JDTDB" and "Calendar" in others):
+        return table
+    if is_query and is_sky(table.frame):
+        units = {"t": "day", "ra": "deg", "dec": "deg", "distance": "au"}
+        own = {name: units[name] for name in units if name in table.frame}
+        note = "headings are those of astroquery: angles in degrees, distances in au"
+        return replace(table, units=own | table.units, notes=(*table.notes, note))
+    if "x" not in table.frame:
         return table
     length, speed = _by_steps(table) if "vx" in table.frame else ("", "")
     units = {"t": "day"} | {a: length for a in "xyz" if length} | {
@@ -132,8 +141,9 @@ def without_header(table, declaration):
     told = f"places in {length} and velocities in {speed}, by their steps" if length else (
         "the unit of places is not known: --units length=km (or au)"
     )  # fmt: skip
+    whose = "astroquery" if is_query else "JPL Horizons"
     notes = (
-        f"headings are those of JPL Horizons: times in days, {told}",
+        f"headings are those of {whose}: times in days, {told}",
         f"{CHECK}the file does not say from which body places count: a pull of that body is one "
         "towards the origin; the whole output of Horizons, as it is, says which it is",
     )

@@ -130,7 +130,7 @@ def estimate_noise(data):
     is_active = [any(np.ptp(x) > 0 for _, x in tracks[axis]) for axis in range(n_dims)]
     span = [_span(tracks[axis]) for axis in range(n_dims)]
     quoted = [_quoted(scenes, axis) for axis in range(n_dims)]
-    steps = _grid_steps(tracks)
+    steps = _steps(data, tracks)
     sigma, sources, degrees, methods, notes = [], [], [], [], []
     length, unit = _length_told(data) if is_dataset else (1.0, "")
     for axis in range(n_dims):
@@ -178,7 +178,7 @@ def finest_noise(data):
     """
     scenes = data.scenes if isinstance(data, Dataset) else tuple(data)
     tracks = [_tracks(scenes, axis, _summing(data)) for axis in range(scenes[0].n_dims)]
-    return tuple(_grid_steps(tracks)), tuple(FLOOR * _span(axis) for axis in tracks)
+    return tuple(_steps(data, tracks)), tuple(FLOOR * _span(axis) for axis in tracks)
 
 
 def _summing(data):
@@ -281,7 +281,13 @@ def _from_differences(tracks):
     return scale, order, n_effective
 
 
-def _grid_steps(tracks):
+def _steps(data, tracks):
+    """Step of the grid of each axis, or of what its places were made of; 0.0 without one."""
+    of_cells = getattr(data, "steps", ()) or [0.0] * len(tracks)
+    return list(map(max, grid_steps(tracks), of_cells))
+
+
+def grid_steps(tracks):
     """Step of the grid that the values of each axis lie on, 0.0 where there is none.
 
     Exact motion under a constant force is on a grid too, one of its own making; what tells rounding

@@ -10,6 +10,7 @@ from bsp_gp.data.notes import LISTED, listed
 from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.roster import GAP, fail_at, numbers_of
 from bsp_gp.data.scene import CHECK
+from bsp_gp.data.sky import is_sky
 from bsp_gp.units import parse_unit
 
 _LATITUDE = frozenset("lat latitude breite breitengrad latitud latitudine".split())
@@ -25,7 +26,8 @@ def from_maps(table, declaration):
     """Put places in a table that has latitudes and longitudes, and heights if it has any.
 
     Places are those in the plane that touches the ellipsoid where the table begins, x to the east
-    and y to the north, in metres; a height is z.
+    and y to the north, in metres; a height is z. Beside right ascension and declination they are
+    where someone looks from.
 
     Raises
     ------
@@ -33,7 +35,7 @@ def from_maps(table, declaration):
         For a latitude beyond the poles.
     """
     latitude, longitude = _of(table, _LATITUDE), _of(table, _LONGITUDE)
-    if not (latitude and longitude):
+    if not (latitude and longitude) or is_sky(table.frame):
         return table
     if _is_way_gone(table, declaration):  # of the same motion, and it says less
         way = table.theirs["x"]

@@ -26,7 +26,7 @@ _GLUED = re.compile(r"(?:err|sigma|sig|unc|e|σ|s)_?(.+)|(.+?)_?(?:error|err|sig
 """``erho``, ``σθ``, ``PAerr``: an error without a blank."""
 _YEAR = _set("year years yr jahr jahre année anno año jyear byear besselian bessel julian decimal")
 _DAY = _set("jd mjd hjd bjd julian jdtdb jdut jdutc jdtt tdb tt utc")
-_DATE = _set("date epoch ep obs observed observation of time day days t") | _YEAR | _DAY
+_DATE = _set("date datetime epoch ep obs observed observation of time day days t") | _YEAR | _DAY
 
 
 def plain_words(text):

@@ -2,10 +2,10 @@
 
 Layouts are those of the programs' own documentation: the TRC files of Motion Analysis and OpenSim,
 the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
-loggers, the enhanced CSV of Astropy, LabVIEW's measurement files, the texts of Leybold's CASSY Lab,
-measures of double stars as the US Naval Observatory mails them, sentences of NMEA 0183
-(`bsp_gp.data.gps`), orbits in SP3 (`bsp_gp.data.sp3`), and tables of JPL Horizons
-(`bsp_gp.data.horizons`).
+loggers, the enhanced CSV of Astropy, machine-readable tables of the AAS and the CDS, LabVIEW's
+measurement files, the texts of Leybold's CASSY Lab, measures of double stars as the US Naval
+Observatory mails them, sentences of NMEA 0183 (`bsp_gp.data.gps`), orbits in SP3
+(`bsp_gp.data.sp3`), and tables of JPL Horizons (`bsp_gp.data.horizons`).
 """
 
 import csv
@@ -13,6 +13,7 @@ import re
 
 from bsp_gp.data.gps import NMEA, of_nmea
 from bsp_gp.data.horizons import plain_horizons
+from bsp_gp.data.notes import listed
 from bsp_gp.data.sp3 import HEADS as OF_SP3
 from bsp_gp.data.sp3 import of_sp3
 from bsp_gp.errors import DataError
@@ -118,7 +119,19 @@ def _qualisys(text, path):
     at = header.index("Time") if "Time" in header else None
     rows = [[f"{k / rate:.9g}" if at is None else row[at], *row] for k, row in enumerate(rows)]
     owners = [(1 + before + 3 * k, name) for k, name in enumerate(names)]
-    return _long(rows, lambda row: row[0], owners, "mm", path)
+    lost = {}
+    for row in rows:  # what no camera sees is written as the origin, on which no marker is exactly
+        for start, name in owners:
+            if all(_is_zero(cell) for cell in row[start : start + 3]):
+                row[start : start + 3] = ["", "", ""]
+                lost[name] = lost.get(name, 0) + 1
+    told = ", ".join(f"{name} ({count})" for name, count in lost.items())
+    note = f"rows in which a marker is at 0, 0, 0, as QTM writes what it has lost, are gaps: {told}"
+    return _long(rows, lambda row: row[0], owners, "mm", path), (note,) * bool(lost)
+
+
+def _is_zero(cell):
+    return _is_number(cell) and float(cell) == 0
 
 
 def _is_number(text):
@@ -228,6 +241,48 @@ def _washington(text, path):
     return "\n".join(out) + "\n", (f"{note} {listed}",) if limits else ()
 
 
+_CDS_BEGINS = "Byte-by-byte Description"
+_CDS_COLUMN = re.compile(
+    r"\s*(?:(\d+)\s*-)?\s*(\d+)\s+[AIFED]\d*(?:\.\d+)?\s+(\S+)\s+(\S+)(?:\s+(?:\[\S*\])?\?=(\S+))?.*"
+)
+"""First and last byte of a column, its unit and label, and what stands for no value."""
+
+
+def _machine_readable(text, path):
+    """The rows of a machine-readable table of the AAS or the CDS; lines stay where they are.
+
+    Above them stands which bytes of a line are which column. Blanks that lines have lost at their
+    beginning are put back where their words cross columns without them.
+    """
+    lines = text.splitlines()
+    heads = [k for k, line in enumerate(lines) if line.startswith(_CDS_BEGINS)]
+    if len(heads) != 1:
+        return text
+    rules = [k for k, line in enumerate(lines) if len(line) > 40 and not line.strip("-= ")]
+    top, end = [k for k in rules if k > heads[0]][1], rules[-1]
+    told = [_CDS_COLUMN.fullmatch(line) for line in lines[top + 1 : end]]
+    columns = [(int(m[1] or m[2]) - 1, int(m[2]), *m.group(3, 4, 5)) for m in told if m]
+    header = [label if unit == "---" else f"{label} ({unit})" for _, _, unit, label, _ in columns]
+    out, shifted = ["" for _ in lines], []
+    out[end] = "\t".join(header)
+    for k, line in enumerate(lines[end + 1 :], end + 1):
+        lost = next((n for n in range(columns[0][1]) if _fits(" " * n + line, columns)), None)
+        if lost is None:
+            raise ValueError(f"words of line {k + 1} cross the columns that are described")
+        shifted += [k + 1] * (lost > 0)
+        cells = [(" " * lost + line)[a:b].strip() for a, b, *_ in columns]
+        nones = [none for *_, none in columns]
+        out[k] = "\t".join("" if c == n else c for c, n in zip(cells, nones, strict=True))
+    note = f"{len(shifted)} row(s) have lost blanks at their beginning: {listed(shifted, 8)}"
+    return "\n".join(out) + "\n", (note,) * bool(shifted)
+
+
+def _fits(line, columns):
+    """Whether a line has nothing between its columns, nor behind them."""
+    seen = {byte for start, stop, *_ in columns for byte in range(start, stop)}
+    return all(k in seen for k, sign in enumerate(line) if sign != " ")
+
+
 _ECSV_COLUMN = re.compile(r"#\s*-\s*\{(name:.*)\}\s*")
 _ECSV_PAIR = re.compile(r"(name|unit):\s*(?:![\w.]+\s*\{\s*unit:\s*)?('[^']*'|\"[^\"]*\"|[^,{}]*)")
 _ECSV_POWER = re.compile(r"(?<=[A-Za-z])(-?\d)\b")
@@ -253,7 +308,8 @@ _KNOWN = {
     "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
     "NO_OF_FRAMES": _qualisys, "FILE_VERSION": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy,
     "CCSDS_OEM_VERS": _ephemeris_message, "LabVIEW Measurement": _labview,
-    "USNO Double Star": _washington, "# %ECSV": _ecsv, **dict.fromkeys(OF_SP3, of_sp3),
+    "USNO Double Star": _washington, "# %ECSV": _ecsv, "Title:": _machine_readable,
+    **dict.fromkeys(OF_SP3, of_sp3),
     'comment,"OptiTrack Export': _tracking_tools, **dict.fromkeys(NMEA, of_nmea),
     **dict.fromkeys(
         ("API", "Ephemeris", "JPL", "{", "*" * 10, "@ " + "*" * 8, "# " + "*" * 8), plain_horizons

@@ -69,7 +69,8 @@ def require_columns(table, needed, along=()):
         options = " ".join(f'{column}="..."' for column in missing)
         if "x" in missing:
             named = [*along, '"..."', '"..."']
-            options += f" (of bodies side by side, BODY_x={named[0]} OTHER_x={named[1]})"
+            options += f" (of bodies side by side, BODY_x={named[0]} OTHER_x={named[1]}"
+            options += '; of speeds alone, vx="...")'
         is_data = sum(_is_number(cell) for cell in present) >= len(present) / 2
         strange = "".join(f"; {h!r} has no unit that is known" for h in present if _is_strange(h))
         raise DataError(

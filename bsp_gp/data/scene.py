@@ -330,6 +330,9 @@ class Dataset:
         unit. Those in `Scene.logs` are not asked yet, see `bsp_gp.data.logged`.
     is_film : bool
         Whether times are those of frames, so that a shutter may have read rows one by one.
+    steps : tuple of float, metres
+        Per axis the step of the grid that what places were made of was printed on (right ascension
+        and declination), where places themselves are on none; empty, or 0 without one.
     """
 
     name: str
@@ -348,6 +351,7 @@ class Dataset:
     noise_memory: float | None = None
     logged: Mapping = field(default_factory=dict)
     is_film: bool = False
+    steps: tuple[float, ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "logged", MappingProxyType(dict(self.logged)))

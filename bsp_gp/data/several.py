@@ -102,6 +102,7 @@ def joined(datasets, paths):
         first.noise, first.velocity, first.latents, first.evaluation, provenance, tuple(told),
         first.noise_memory, {k: v for d in reversed(datasets) for k, v in d.logged.items()},
         any(d.is_film for d in datasets),
+        max((d.steps for d in datasets), key=lambda steps: sum(steps)),
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.extent import JULIAN
+from bsp_gp.data.extent import JULIAN, YEARS, are_within
 from bsp_gp.data.headings import (
     BY_WORDS,
     RADIAL_NAMES,
@@ -20,14 +20,16 @@ from bsp_gp.data.headings import (
     words_of,
 )
 from bsp_gp.data.polar import POLAR_ALIASES
+from bsp_gp.data.polar_words import is_julian
 from bsp_gp.data.property_columns import quoted
+from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK, SIGHT
 from bsp_gp.data.stars import with_date_unit
 from bsp_gp.errors import DataError, in_python
 from bsp_gp.units import is_speed
 
 INSTRUMENTS = frozenset(
-    "tel telescope instrument instrumentid inst instr spectrograph ins".split()
+    "tel telescope instrument instrumentid inst instr spectrograph ins observatory".split()
 )
 """Words of columns that say by what a velocity was measured: each has a zero of its own."""
 MOST_INSTRUMENTS, FEWEST = 12, 4
@@ -221,12 +223,19 @@ def along_sight(table, declaration, column):
 
 
 def _with_days(table, declaration):
-    """The table with days for times without a unit."""
-    said = {"t", "time"} & {*declaration.units, *table.units}
-    if said or "t" not in table.frame or table.is_dated:
+    """The table with days for times without a unit, and a check of such as may be years."""
+    theirs = table.theirs.get("t", "t")
+    if "t" not in table.frame or table.is_dated or {"t", "time"} & {*declaration.units}:
         return table
-    note = in_python(f"{CHECK}column {table.theirs.get('t', 't')!r} has no unit: days are taken; "
-                     "--units time=UNIT says otherwise")  # fmt: skip
+    if {"t", "time"} & {*table.units}:
+        times = numbers_of(table, "t")
+        if not is_julian(theirs) or not are_within(np.nanmin(times), np.nanmax(times), (YEARS,)):
+            return table
+        note = in_python(f"{CHECK}{theirs!r} is taken as days, and has numbers such as decimal "
+                         "years: if they are these, --units t=yr")  # fmt: skip
+        return replace(table, notes=(*table.notes, note))
+    note = in_python(f"{CHECK}column {theirs!r} has no unit: days are taken; --units time=UNIT "
+                     "says otherwise")  # fmt: skip
     return replace(table, units={**table.units, "t": "day"}, notes=(*table.notes, note))
 
 
@@ -253,8 +262,9 @@ def _by_instruments(table):
     """The table with the velocities of each instrument as a recording of its own."""
     if "scene" in table.frame:
         return table
-    names = [n for n, text in table.unused.items() if n in table.frame
-             and words_of(text) & INSTRUMENTS]  # fmt: skip
+    of = {n: words_of(text) for n, text in table.unused.items() if n in table.frame}
+    names = [n for n, words in of.items() if words & INSTRUMENTS]
+    names = names or [n for n, words in of.items() if words == {"source"}]
     if len(names) != 1:
         return table
     (name,) = names

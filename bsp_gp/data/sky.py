@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bsp_gp.data.noise import grid_steps
 from bsp_gp.data.roster import fail_at, numbers_of, require_columns
 from bsp_gp.data.scene import CHECK
 from bsp_gp.errors import DataError, UnitError, in_python
@@ -78,13 +79,15 @@ def from_sky(table, units, about=None):
             )  # fmt: skip
         return table, dict(units)
     au = parse_unit("au")[0]
-    lengths = {c: numbers_of(table, c) * parse_unit(text)[0] * distance / au
-               for c, text in lengths.items()}  # fmt: skip
+    scales = {c: parse_unit(text)[0] * distance / au for c, text in lengths.items()}
+    lengths = {c: numbers_of(table, c) * scale for c, scale in scales.items()}
+    steps = {c: size * scales.get(c, 1.0) for c, size in table.steps.items()}
     own = {key: text for key, text in table.units.items() if key not in lengths}
     new = {key: text for key, text in units.items() if key not in lengths} | {"length": "au"}
     note = f"angles are lengths at a distance of {distance / parse_unit('pc')[0]:.6g} pc, in au"
     frame = table.frame.assign(**lengths)
-    return replace(table, frame=frame, units=own, notes=(*table.notes, note)), new
+    notes = (*table.notes, note)
+    return replace(table, frame=frame, units=own, notes=notes, steps=steps), new
 
 
 def _without_idle_distance(table, units):
@@ -116,6 +119,15 @@ def _in_space(table, found, units):
     places = {"x": flat * np.cos(ra), "y": flat * np.sin(ra), "z": far * np.sin(dec)}
     gone = (*SKY_COLUMNS, "distance")
     rest = table.frame.drop(columns=[c for c in gone if c in table.frame.columns])
+    of_ra, of_dec, of_far = _printed(table, found, ra=ra, dec=dec, distance=far)
+    east, north = of_ra * flat, of_dec * far
+    aside = (north * np.sin(dec)) ** 2 + (of_far * np.cos(dec)) ** 2  # of the axis
+    squares = {
+        "x": (east * np.sin(ra)) ** 2 + aside * np.cos(ra) ** 2,
+        "y": (east * np.cos(ra)) ** 2 + aside * np.sin(ra) ** 2,
+        "z": (north * np.cos(dec)) ** 2 + (of_far * np.sin(dec)) ** 2,
+    }
+    steps = {axis: math.sqrt(np.nanmean(own)) for axis, own in squares.items()}
     unit = found.get("distance", "")
     own = {k: text for k, text in table.units.items() if k not in gone}
     own |= dict.fromkeys(places, unit) if unit and "length" not in units else {}
@@ -125,7 +137,30 @@ def _in_space(table, found, units):
     )
     notes = (*table.notes, note, *_may_be_hours(table, found))
     units = {k: text for k, text in units.items() if k not in gone}
-    return replace(table, frame=rest.assign(**places), units=own, notes=notes), units
+    frame = rest.assign(**places)
+    return replace(table, frame=frame, units=own, notes=notes, steps=steps), units
+
+
+def _printed(table, found, **columns):
+    """Steps of the grids on which columns (n,) were printed, 0.0 of one that is on none.
+
+    Places in a plane or in space, which are made of them, are on no grid. Of what is sexagesimal
+    the last digit tells it.
+    """
+    keys = [name for name in ("scene", "entity") if name in table.frame]
+    n = len(table.frame)
+    owners = table.frame.groupby(keys, sort=False).indices.values() if keys else [np.arange(n)]
+    steps = grid_steps([
+        [(own[known], values[own][known]) for own in owners
+         if (known := np.isfinite(values[own])).any()] for values in columns.values()
+    ])  # fmt: skip
+    for k, name in enumerate(columns):
+        if _plain_numbers(table.frame[name]) is None:
+            cells = [_SEXAGESIMAL.fullmatch(str(cell).strip()) for cell in table.frame[name]]
+            n_digits = max(len(cell[4].partition(".")[2]) for cell in cells)
+            size = _degrees_of_one(name, found.get(name, ""))
+            steps[k] = math.radians(size * 10.0**-n_digits / 3600)
+    return steps
 
 
 def _offsets(table, found, units):
@@ -153,13 +188,16 @@ def _offsets(table, found, units):
         for ours, theirs in (("sx", "sra"), ("sy", "sdec")):
             scale = _scale(table, theirs, found.get(theirs, "mas"))
             new[ours] = numbers_of(table, theirs) * scale / arcsec
+    of_ra, of_dec = _printed(table, found, ra=ra, dec=dec)
+    steps = {"x": of_ra * np.cos(middle[1]) / arcsec, "y": of_dec / arcsec}
     rest = table.frame.drop(columns=[c for c in SKY_COLUMNS if c in table.frame.columns])
     degrees = f"{math.degrees(middle[0]) % 360:.8f}, {math.degrees(middle[1]):+.8f}"
     note = f"right ascension and declination are offsets to the east and north of ({degrees}) deg"
     notes = (*table.notes, note, *_may_be_hours(table, found))
     own = {k: text for k, text in table.units.items() if k not in SKY_COLUMNS}
     units = {k: text for k, text in units.items() if k not in SKY_COLUMNS} | {"length": "arcsec"}
-    return replace(table, frame=rest.assign(**new), units=own, notes=notes), units
+    frame = rest.assign(**new)
+    return replace(table, frame=frame, units=own, notes=notes, steps=steps), units
 
 
 def _may_be_hours(table, found):
@@ -178,11 +216,15 @@ def _angles(table, column, unit):
     values = _plain_numbers(table.frame[column])
     if values is None:
         degrees = [_degrees(table, column, k, cell) for k, cell in enumerate(table.frame[column])]
-        scale = _HOURS if column == "ra" and unit.strip() not in ("deg", "°") else 1.0
-        return np.radians(scale * np.array(degrees))
+        return np.radians(_degrees_of_one(column, unit) * np.array(degrees))
     if unit.strip().lower() in HOURS:
         return np.radians(_HOURS * values)
     return values * _scale(table, column, unit or "deg")
+
+
+def _degrees_of_one(column, unit):
+    """Degrees of what is counted in sexagesimal cells: hours of a right ascension."""
+    return _HOURS if column == "ra" and unit.strip() not in ("deg", "°") else 1.0
 
 
 def _plain_numbers(cells):

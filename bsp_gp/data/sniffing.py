@@ -9,7 +9,7 @@ import numpy as np
 
 from bsp_gp.data.clock import slope_on_clock
 from bsp_gp.data.conversion import is_unit
-from bsp_gp.data.extent import JULIAN, are_within
+from bsp_gp.data.extent import JULIAN, MODIFIED, YEARS, are_within
 from bsp_gp.data.header_lines import (
     COMMENT,
     below,
@@ -42,6 +42,9 @@ MOST_POWER = 300
 _UNITS_OF_TIME = tuple(math.log(n) for n in (1, 1e3, 1e6, 1e9, 60, 3600, 86400))
 _SAME_UNIT = 1e-3
 """How many of one unit another of a time is, and the part by which a clock may be off that."""
+OLD, UNEVEN = 5.0, 2.0
+"""How many times the span of a clock its first value is from 0 at least, if that is a date; and the
+upper quartile of its steps, in the lower one, at least."""
 MOST_SHOWN = 6
 """Cells of a row that a complaint shows."""
 _DELIMITERS = (",", ";", "\t", None)
@@ -305,9 +308,14 @@ def _remedy_of_numbers(cells, lines, delimiter):
     remedy = "add a header such as t,x,y, or say which column is which by its number: "
     columns = _columns_of(lines, delimiter, cells)
     clocks = clocks_among(list(columns.values()))
-    if columns and are_within(*_ends(next(iter(columns.values()))), (JULIAN,)):
-        by_number = ("--columns t=1 x=2 sx=3, or t=1 rv=2 srv=3 of velocities along the line of "
-                     "sight (the third being their errors)")  # fmt: skip
+    unit = _unit_of_dates(columns.get(1, ())) if len(columns) > 2 else ""
+    if unit:
+        of_y = " y=4 sy=5" * ({4, 5} <= {*columns})
+        by_number = (
+            f"--columns t=1 x=2 sx=3{of_y}, or t=1 rv=2 srv=3 of velocities along the line of "
+            f"sight ({'the third and the fifth' if of_y else 'the third'} being their errors)"
+        )
+        by_number += " with --units t=yr where dates are years" if unit == "yr" else ""
     elif clocks:
         by_number = _by_clock(columns, [list(columns)[k] for k in clocks])
     elif columns and not any(_rises(own, ANY_RISE) for own in columns.values()):
@@ -319,6 +327,18 @@ def _remedy_of_numbers(cells, lines, delimiter):
     if _are_places(cells):
         by_number += ", if that line is a row; if it numbers the columns itself, --columns t=0 x=1"
     return remedy + by_number
+
+
+def _unit_of_dates(cells):
+    """What the numbers of a first column count if they are dates: Julian days, or years; or ""."""
+    ends = _ends(cells) if len(cells) else (0.0, 0.0)
+    if are_within(*ends, (JULIAN,)):
+        return "day"
+    steps = sorted(_steps(cells))
+    is_even = not steps or steps[3 * len(steps) // 4] < UNEVEN * steps[len(steps) // 4]
+    if is_even or _age(cells) < OLD or all(value == round(value) for value in _numbers(cells)):
+        return ""  # a clock
+    return "yr" if are_within(*ends, (YEARS,)) else "day" if are_within(*ends, (MODIFIED,)) else ""
 
 
 def _by_clock(columns, clocks):
@@ -336,8 +356,11 @@ def _by_clock(columns, clocks):
     x = moving[0] if moving else next(k for k in (2, 1) if k != clock)
     pushes = " ".join(f"a{axis}={k}" for axis, k in zip("xyz", moving, strict=False))
     again = "".join(f"; column {k} is the same clock" for k in clocks[1:])
+    sides = zip(("a_x", "a_y", "b_x", "b_y"), moving, strict=False)
+    beside = " ".join(f"{name}={k}" for name, k in sides)
+    beside = f"; of bodies side by side {beside}" if len(moving) > 3 else ""
     return (f"--columns t={clock} x={x} (column {clock} increases from row to row{again}; y=, z= "
-            f"of further axes; t={clock} {pushes} of accelerations)")  # fmt: skip
+            f"of further axes; t={clock} {pushes} of accelerations{beside})")  # fmt: skip
 
 
 def _columns_of(lines, delimiter, cells):
@@ -382,7 +405,8 @@ def _likely_header(head):
     """Number and delimiter of the line above the first row of numbers, else of the first line.
 
     Titles that are padded to the length of the rows are no names. Of comments above the rows the
-    last one that has as many words as these have cells is it.
+    last one that has as many words as these have cells is it. Where rows hold words as well, the
+    first line that is no comment is it, if it has none but names, one for every cell below.
     """
     first = next((k for k, s in enumerate(head) if s.strip() and not COMMENT.match(s)), len(head))
     comments = [k for k in reversed(range(first)) if not is_sentence(head[k])]
@@ -396,6 +420,8 @@ def _likely_header(head):
                 is_of_units = all(_BRACKETS.fullmatch(cell) for cell in cells if cell)
                 return (number - 1 if is_of_units and number else number), delimiter
     filled = [k for k, line in enumerate(head) if line.strip()]
+    is_plain = comments and any(_names_cells(head, first, mark) for mark in _DELIMITERS)
+    filled = filled[filled.index(first) :] if is_plain else filled
     first = number = next((k for k in filled if not is_sentence(head[k])), filled[0])
     counts = {mark: len(split_line(head[number], mark)) for mark in _DELIMITERS}
     marked = [mark for mark in _DELIMITERS[:-1] if counts[mark] > 1]
@@ -403,6 +429,13 @@ def _likely_header(head):
     while number < len(head) - 1 and _is_padded(split_line(head[number], delimiter)):
         number += 1
     return (first if _is_padded(split_line(head[number], delimiter)) else number), delimiter
+
+
+def _names_cells(head, number, delimiter):
+    """Whether a line has a name, and no number, for every cell of the row below, which has some."""
+    names = names_in(head, number, delimiter)
+    row = split_line(below(head, number), delimiter)
+    return len(names) == len(row) > 1 and any(map(_is_number, row)) > any(map(_is_number, names))
 
 
 def _is_padded(cells):

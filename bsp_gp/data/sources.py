@@ -32,6 +32,7 @@ _OWN_FORMATS = {
     ".spklab": "a file of SPARKvue; there, choose Export Data",
     ".phyphox": "an experiment of phyphox; there, choose Export Data > CSV",
     ".labx": "a file of CASSY Lab 2; there, choose File > Export as a text (.txt)",
+    ".c3d": "a binary file of motion capture; export it there as .trc or CSV",
     ".oem": "an orbit ephemeris message; write its rows as a table with the header t,x,y,z",
 }
 """What other programs keep for themselves, and how to get a table out of them."""
@@ -282,6 +283,7 @@ def _counts(text):
 
 def _told_apart(source, names):
     """The source itself, or the plain table below the preamble of a program."""
+    source = _without_numbered_names(source, names)
     with source.open() as stream:
         head = stream.read(_BEGIN)
         if not head.lstrip().startswith(HEADS):
@@ -293,6 +295,26 @@ def _told_apart(source, names):
     if plain == text or own and any(own <= _cells_of(line) for line in text.splitlines()[:_HEADER]):
         return source
     return replace(source, text=plain, counts=_counts(plain), notes=(*source.notes, *notes))
+
+
+_NUMBERED = re.compile(r'("?Column\d+"?[,;\t]?)+\s*')
+
+
+def _without_numbered_names(source, names):
+    """The source with a blank line for ``Column1,Column2``, which Excel puts above what it loads.
+
+    Below it stand a program's or the table's own names, or the caller's (`names`) do.
+    """
+    first, second = [*source.head(2), "", ""][:2]
+    is_row = any(_NUMBER.fullmatch(cell) and re.search(r"\d", cell) for cell in _cells_of(second))
+    if is_row or not _NUMBERED.fullmatch(first):
+        return source
+    if {*names} & _cells_of(first):
+        return source
+    with source.open() as stream:
+        text = stream.read().removeprefix(first)
+    note = "line 1 (Column1, Column2 ...) is of a spreadsheet, and names nothing"
+    return replace(source, text=text, counts=_counts(text), notes=(*source.notes, note))
 
 
 _BEGIN = 60

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.data.extent import JULIAN, YEARS
+from bsp_gp.data.extent import JULIAN, MODIFIED, YEARS
 from bsp_gp.data.polar import POLAR_ALIASES, is_polar
 from bsp_gp.data.polar_words import (
     date_unit,
@@ -29,7 +29,7 @@ WIDEST = 30.0
 motion anyone follows, few are wider than that in arcseconds."""
 _DATES = (
     (YEARS, "yr", "decimal years"),
-    ((15_000, 100_000), "day", "modified Julian dates, in days"),
+    (MODIFIED, "day", "modified Julian dates, in days"),
     (JULIAN, "day", "Julian dates, in days"),
 )
 """Ranges of numbers that, in a table of the sky, are dates."""

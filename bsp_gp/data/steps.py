@@ -95,7 +95,7 @@ def with_even_clocks(frame, columns):
     other share their times, as those do that were written twice: they are left alone.
     """
     clocks = [c for c in columns if frame[c].dtype.kind == "f"]
-    if "entity" in frame.columns or not clocks:
+    if not clocks or ("entity" in frame.columns and frame["entity"].nunique() > 1):
         return frame, ()
     keys = frame["scene"] if "scene" in frame.columns else pd.Series(0, frame.index)
     has_ties = any((frame[c].diff() == 0).any() for c in clocks)
@@ -169,6 +169,8 @@ def _evened(times):
 def _frames(k, v, digit):
     """Numbers (n,) of the frames of rows k at times v, which are off by a digit at the most."""
     step, frames = np.median((v[MANY:] - v[:-MANY]) / (k[MANY:] - k[:-MANY])), k.astype(float)
+    if not step > 0:  # most rows share their times with many: no clock of frames
+        return frames
     for _ in range(2):
         behind = (v - v[0]) / step - (frames - frames[0])
         lost = np.diff(np.maximum.accumulate(np.maximum(behind - digit / step, 0.0)), prepend=0.0)

@@ -26,6 +26,8 @@ VELOCITIES, ACCELERATIONS = SUMS
 """``[columns] velocity``: places are sums of velocities that alone were measured; these are sums
 themselves, of measured accelerations."""
 WHAT = {VELOCITIES: ("velocity", "velocities"), ACCELERATIONS: ("acceleration", "accelerations")}
+MOST_USUAL = 1e6
+"""Median of accelerations, m/s^2, above which no sensor has shown them."""
 GAP = 3.5
 """Typical steps of a gap behind which a track begins anew: what is gone in it is not known."""
 NEIGHBOURS = 15
@@ -96,7 +98,7 @@ def summed(table, declaration, rates):
     Raises
     ------
     DataError
-        Times are lost or do not increase; no track has four values.
+        Times are lost or do not increase; no track has four values, or these are beyond sensors.
     """
     found, (_, many) = rates.columns, WHAT[rates.velocity]
     times = numbers_of(table, "t") if "t" in table.frame else _of_frames(table, declaration)
@@ -104,6 +106,8 @@ def summed(table, declaration, rates):
     if lost.any():
         fail_at(table, "empty cell or NaN where a time is needed", int(lost.argmax()), "t")
     values = np.stack([numbers_of(table, name) for name in found.values()], axis=1)
+    if rates.order == 2:
+        _require_possible(table, rates.metric * values, rates)
     pieces, far, twice = _pieces(table, times, values, rates)
     if not any(pieces.values()):
         raise DataError(
@@ -132,6 +136,20 @@ def summed(table, declaration, rates):
     said = {name: unit for name, unit in declaration.units.items() if name not in found.values()}
     noise = _noise(declaration, times, rates)
     return table, replace(declaration, velocity=rates.velocity, noise=noise, units=said)
+
+
+def _require_possible(table, values, rates):
+    """DataError where accelerations (n, d), in m/s^2, are mostly such as no sensor shows."""
+    usual = [np.median(own[np.isfinite(own)]) if np.isfinite(own).any() else 0.0
+             for own in np.abs(values).T]  # fmt: skip
+    k = int(np.argmax(usual))
+    if usual[k] > MOST_USUAL:
+        raise DataError(
+            f"half of the accelerations are above {usual[k]:.3g} m/s^2, which no sensor shows",
+            file=table.file, column=rates.headings[k], remedy="look into the file: spreadsheets "
+            "that know another decimal sign make 3.5E+07 of 3.5E-02; export it anew, or give the "
+            "unit: --units acceleration=g",
+        )  # fmt: skip
 
 
 def _without_gravity(table, times, values, pieces, rates):
@@ -297,12 +315,18 @@ def _roughness(values):
 
 
 def _parts(times, rows):
-    """Rows of a track up to its gaps: steps that grow as a wheel slows down are none."""
+    """Rows of a track up to its gaps: steps that grow as a wheel slows down are none.
+
+    Nor are those of a clock that waits once in a few rows, as one does that writes them out.
+    """
     steps = np.diff(times[rows])
     if not len(steps) or not np.median(steps) > 0:  # told where times are checked
         return [rows]
     usual = np.maximum(ndimage.median_filter(steps, NEIGHBOURS, mode="nearest"), np.median(steps))
-    return np.split(rows, np.flatnonzero(steps > GAP * usual) + 1)
+    is_gap = steps > GAP * usual
+    if NEIGHBOURS * np.count_nonzero(is_gap) > len(steps):
+        is_gap = steps > GAP * np.maximum(usual, np.median(steps[is_gap]))
+    return np.split(rows, np.flatnonzero(is_gap) + 1)
 
 
 def _track(table, times, values, rows, rates):

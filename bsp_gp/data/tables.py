@@ -436,6 +436,9 @@ def _assemble(table, roster, declaration, default_name):
             'velocity columns are not used; write [columns] velocity = "measured" if they were '
             "measured and are not differences of positions"
         )
+    n_dims = scenes[0].n_dims
+    steps = {axis: step * conversion.length(axis) for axis, step in table.steps.items()}
+    steps = tuple(steps.get(axis, 0.0) for axis in "xyz"[:n_dims]) if steps else ()
     provenance = dict(declaration.provenance)
     theirs = [k if k == v else f"{k} = {v!r}" for k, v in table.theirs.items()]
     if theirs != list(table.theirs):
@@ -455,8 +458,8 @@ def _assemble(table, roster, declaration, default_name):
             **(roster.units if roster else {}),
             **{name: unit for name, (_, unit) in rows.inputs.items()},
         },
-        up=_up(declaration, scenes[0].n_dims) or table.up,
-        noise=_noise(declaration, conversion, scenes[0].n_dims),
+        up=_up(declaration, n_dims) or table.up,
+        noise=_noise(declaration, conversion, n_dims),
         noise_memory=_noise_memory(declaration, conversion),
         logged={name: (heading, unit) for name, (heading, _, unit) in rows.logged.items()},
         velocity=declaration.velocity,
@@ -465,6 +468,7 @@ def _assemble(table, roster, declaration, default_name):
         provenance=provenance,
         notes=tuple(notes),
         is_film=declaration.fps is not None or Path(table.file).suffix.lower() == ".trk",
+        steps=steps,
     )
 
 
@@ -482,18 +486,20 @@ _HEADINGS = frozenset("heading attitude yaw bow azimuth orientation kurs cap rum
 
 
 def _unused(table, inputs):
-    """A note of what is not read of a table."""
-    names = [theirs for name, theirs in table.unused.items() if name not in inputs]
+    """A note of what is not read of a table, and of what of it may be an input."""
+    unused = {name: theirs for name, theirs in table.unused.items() if name not in inputs}
+    names = list(unused.values())
+    able = [theirs for name, theirs in unused.items() if name in table.frame]  # of bodies none is
+    able = [theirs for theirs in able if theirs.isidentifier()]
     more = f" and {len(names) - MAX_COLUMNS} more" if len(names) > MAX_COLUMNS else ""
     note = [f"not used: {', '.join(names[:MAX_COLUMNS])}{more}"] if names else []
-    where = [name for name in names if name.isidentifier() and plain_words(name) & _HEADINGS]
+    where = [name for name in able if plain_words(name) & _HEADINGS]
     if where:
         note.append(
             f"column {where[0]} may say how the body is turned: --units {where[0]}=deg makes it an "
             "input of laws, which may then act along and across the body's own axis"
         )
-    plain = {n: plain_words(n.rstrip("0123456789")) for n in names if n.isidentifier()}
-    driving = [name for name, words in plain.items() if words & _DRIVES]
+    driving = [n for n in able if plain_words(n.rstrip("0123456789")) & _DRIVES]
     if driving:
         note.append(
             f"column {driving[0]} may drive the motion: --units {driving[0]}=UNIT makes it an "

@@ -16,6 +16,9 @@ LISTED = 8
 LEAP, LEAST_LEAPS = 10.0, 10
 """Steps of the grid of its places, if they are on one, that a body leaps before a reading that is
 held, and behind it; and how many of these there are at least."""
+TURNS = 0.5
+"""Part of the usual share of readings between two steps of one sense, below which those that are
+held at turning points are none."""
 MOST_SLIPS = 0.01
 """Part of the rows of a body whose time may not be after those before."""
 FEW, NEAR = 0.2, 0.25
@@ -91,7 +94,8 @@ def without_held(rows):
     """Rows without those of readings that were held until the next one, and a note of these.
 
     A logger that is faster than its sensor, and a tracker that has lost a body, say the last place
-    again. What lies still does so, too, but does not leap there, nor away from there.
+    again. What lies still does so, too, but does not leap there, nor away from there; and rows on
+    both sides of a turning point may have one place on a grid.
     """
     if rows.velocities is not None or len(rows.times) < 2:
         return rows, ()
@@ -107,7 +111,8 @@ def without_held(rows):
 def _are_held(times, places):
     """Rows (n,) of one body, at places (n, d), that repeat a reading."""
     nothing, places = np.zeros(len(places), dtype=bool), places[:, np.isfinite(places).any(axis=0)]
-    steps = np.abs(np.diff(places, axis=0))
+    signed = np.diff(places, axis=0)
+    steps = np.abs(signed)
     moving = np.flatnonzero(steps.any(axis=1))  # the last row of each reading, but of the last one
     # The grid of a long track takes a while, and hardly any track holds readings.
     if np.count_nonzero(np.diff(moving) > 1) < LEAST_LEAPS or not np.isfinite(places).all():
@@ -117,8 +122,12 @@ def _are_held(times, places):
     firsts, lasts = np.append(0, moving + 1), np.append(moving, len(places) - 1)
     chosen = np.append(True, is_leap) & np.append(is_leap, True) & (lasts > firsts)
     within = chosen[1:-1]
-    if np.count_nonzero(within) < LEAST_LEAPS:
+    goes_on = (signed[moving[:-1]] * signed[moving[1:]]).sum(axis=1) > 0
+    n_on = np.count_nonzero(within & goes_on)
+    if n_on < LEAST_LEAPS:
         return nothing
+    if n_on < TURNS * goes_on.mean() * np.count_nonzero(within):
+        chosen[1:-1] &= goes_on
     # At the ends it may lie still for as long as it likes.
     chosen &= lasts - firsts <= (lasts - firsts)[1:-1][within].max()
     for first, last in zip(firsts[chosen], lasts[chosen], strict=True):

@@ -81,7 +81,7 @@ def simulate_law(
             path = path + rng.standard_normal(path.shape) * np.array(noise)
         scenes.append(replace(scene.on_track(path), velocities=None, sigma=None))
     return replace(
-        dataset, name=f"{dataset.name} simulated", scenes=tuple(scenes), noise=noise,
+        dataset, name=f"{dataset.name} simulated", scenes=tuple(scenes), noise=noise, steps=(),
         velocity="ignore", notes=(), provenance={
             "simulated law": law.text(), "initial states": f"fitted to {dataset.name}",
             "integrator": integrator,
