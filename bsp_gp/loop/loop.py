@@ -302,6 +302,7 @@ class _Run:
         if turn.unasked:
             turn.note("proposers")
         turn.note_time("fits")
+        turn.share_noise()
         of_noise = (view.noise_chance, view.forced, turn.swamped) if view else ()
         table = HypothesisTable(tuple(turn.rows), turn.p_value, *of_noise)
         table = table.without_repeats().with_probabilities()
@@ -602,6 +603,7 @@ class _Turn:
                 least[source] = min(least.get(source, math.inf), own[0])
                 highest[source] = max(highest.get(source, -math.inf), proposal.promise)
         fits.end()
+        self.share_noise()
         self._fit_weight(every)
         self._fit_limits()
         self._prune()
@@ -610,6 +612,26 @@ class _Turn:
             if max(nats for nats, _ in known.values()) > least[source] + FAR_BEHIND
         }  # fmt: skip
         self._tell_near(every, above, highest, off)
+
+    def share_noise(self):
+        """Tell what leaves less than the likeliest under its noise, where it is likelier so.
+
+        What a law leaves may pass for noise with a memory while less of it does not, beside
+        another: how much is noise is told from what is smooth in what each leaves.
+        """
+        fitted = [row for row in self.rows[1:] if row.is_fit and row.id in self.fits]
+        top = max(fitted, key=lambda row: row.log_posterior, default=None)
+        for row in fitted:
+            found = self.fits[row.id]
+            if not row.left < top.left or found.n_rows != self.fits[top.id].n_rows:
+                continue
+            reached = log_likelihood(self.fits[top.id].noise, found.channels, found.residual)
+            more = float(reached) - row.log_likelihood
+            if more > 0:
+                self.rows[row.id] = replace(
+                    row, log_likelihood=row.log_likelihood + more,
+                    log_evidence=row.log_evidence + more,
+                )  # fmt: skip
 
     def _fit_weight(self, every):
         """Fit the likeliest steady push where no force is known, and that takes most away.
