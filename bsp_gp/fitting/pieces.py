@@ -14,7 +14,7 @@ from bsp_gp.physics.geometry import Shapes
 
 __all__ = ["Pieces", "cut_pieces"]
 
-MOST_COORDINATES = 150
+MOST_COORDINATES = 300
 """Coordinates of a piece at the most, and its least number of rows."""
 LEAST_ROWS = 12
 LEAST_FLOWN = 4
@@ -193,7 +193,7 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
     n_scenes = len(batch.scenes)
     n_groups = chains.n_chains // n_scenes
     n_own = chains.n_moving * chains.n_dims
-    rows = max(MOST_COORDINATES // max(n_own - n_held, 1), LEAST_ROWS)
+    rows = max(int(MOST_COORDINATES / max(n_own - n_held / 2, 1)), LEAST_ROWS)
     # Bodies whose tracks are cut short lead others as they were seen, or are nowhere from there on.
     lengths = chains.lengths.reshape(n_groups, n_scenes)
     lengths = lengths.max(axis=0) if _are_led(chains) else lengths.min(axis=0)
