@@ -11,7 +11,8 @@ from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.student import log_likelihood
-from bsp_gp.loop.loop import _more_under
+from bsp_gp.loop.loop import _more_under, _Turn
+from bsp_gp.loop.table import Row
 from tests.throws import SI
 
 
@@ -69,3 +70,42 @@ def test_under_tails_more_noise_is_no_quadratic_form():
     exact = log_likelihood(larger, fitted.channels, fitted.residual) - tailed.log_likelihood
     assert more == pytest.approx(exact)
     assert more < 0.5 * tailed.chisqr / 2
+
+
+def wandering(size):
+    """A fit of nothing to a body that wanders smoothly by so much, beside noise of 0.1."""
+    rng, times = np.random.default_rng(6), np.arange(200.0)
+    places = size * np.sin(times / 9)[:, None] + 0.1 * rng.standard_normal((200, 2))
+    scene = Scene("a", times, places[:, None], (Entity("ball"),))
+    data = Dataset("swing", (scene,), units=SI)
+    return fit(Hypothesis.from_laws(data, []), data)
+
+
+@pytest.mark.parametrize(("size", "is_likelier"), [(0.5, True), (2.0, False)])
+def test_what_leaves_less_is_told_under_the_noise_of_the_likeliest(size, is_likelier):
+    """Two circles were an ellipse: what they left was noise with a memory, and what it left not."""
+    strict, wide = wandering(size), wandering(1.0)
+    known = replace(
+        strict.noise, levels=(0.1, 0.1), correlated=0.0, degrees=math.inf, speed_growth=0.0
+    )
+    lax = replace(known, levels=(0.8, 0.8), correlated=0.98, correlation_time=9.0)
+    fits = {
+        k: replace(f, noise=n, log_likelihood=log_likelihood(n, f.channels, f.residual))
+        for k, f, n in ((1, strict, known), (2, wide, lax))
+    }
+    assert fits[1].log_likelihood < fits[2].log_likelihood
+    rows = [
+        Row(k, "orbit", str(k), "orbits", "converged", ll - 20.0, -3.0, ll, 4, left=left)
+        for k, ll, left in (
+            (0, -1e5, 9.0), (1, fits[1].log_likelihood, size), (2, fits[2].log_likelihood, 1.0)
+        )
+    ]  # fmt: skip
+    turn = SimpleNamespace(rows=rows, fits=fits)
+    _Turn.share_noise(turn)
+    _, first, second = turn.rows
+    assert (first.log_posterior > second.log_posterior) == is_likelier
+    assert second is rows[2]
+    if is_likelier:
+        under = log_likelihood(lax, strict.channels, strict.residual)
+        assert first.log_likelihood == pytest.approx(under)
+        assert first.log_evidence == pytest.approx(under - 20.0)
