@@ -605,7 +605,7 @@ class _Group:
         beyond = less_exact(by_force, beyond, error)
         by_force = beyond[:, :, :n_forces]
         values, vectors = FreeForce(by_force, self.fine.times).shown
-        self._weigh(left)
+        self._weigh(left, _n_open(values))
         left = beyond[:, :, -1]
         expected = None  # where what is left may change at once, it tells no smoothness
         if strength is not None:
@@ -627,21 +627,20 @@ class _Group:
         return force.reshape(shape), (turned @ left[..., None])[..., 0], keep
 
     def _telling(self, moments, n_forces):
-        """Moments (W, m, F + n + k + 1) turned into those in which forces show, (W, c, ...).
+        """Moments (W, m, F + n + k + 1) of bodies that are held, turned into those of forces.
 
-        What bodies are held by shows where no force does, too. A rod takes up forces along it.
-        Tracks that are smoothed lead from row to row as no fit does, and there a little of such a
-        force shows: a free force without bound would be told by that from whatever is left. How
-        many moments show any is counted at the fit itself.
+        What holds them shows where no force does, too: it has moments of its own. A rod takes up
+        forces along it. Tracks that are smoothed lead from row to row as no fit does, and there a
+        little of such a force shows: a free force without bound would be told by that from whatever
+        is left. How many moments show any is counted at the fit itself.
         """
+        if not self.is_held:
+            return moments
         values, vectors = FreeForce(moments[:, :, :n_forces], self.fine.times).shown
         told = values > NOTHING * values.max(axis=1, keepdims=True, initial=0.0)
-        if self.is_held:
-            if self.n_told is None:
-                self.n_told = told.sum(axis=1, keepdims=True)
-            n = values.shape[1]
-            told &= np.arange(n) >= n - self.n_told
-        self.n_open = int(told.sum())
+        if self.n_told is None:
+            self.n_told = told.sum(axis=1, keepdims=True)
+        told &= np.arange(values.shape[1]) >= values.shape[1] - self.n_told
         count = int(told.sum(axis=1).max(initial=1))
         vectors = vectors[:, :, -count:] * told[:, None, -count:]  # eigenvalues rise
         found = np.swapaxes(vectors, 1, 2) @ moments
@@ -713,13 +712,12 @@ class _Group:
         self.nodes = self._flow(self.fine).held(self.nodes)
         return True
 
-    def _weigh(self, left):
+    def _weigh(self, left, count):
         """Find the level of the noise beside a free force, in that of the fit, and what that gains.
 
-        What a law leaves, moments (W, m), may have been taken for noise: its level is that of the
-        pure error.
+        What a law leaves, moments (W, m) of which forces reach `count`, may have been taken for
+        noise: its level is that of the pure error.
         """
-        count = self.n_open
         values, turned = self.free.seen(left)
         scaled, top = in_units(values)
         if not np.any(top > 0):
