@@ -354,3 +354,11 @@ class UnitSystem:
     def text(self, unit):
         """Write `unit` in the words of these data: ``px/s^2`` where lengths are pixels."""
         return unit.text(self.symbols)
+
+    def instant(self, seconds):
+        """Write an instant in the unit of the times as they were given: a Julian date in days."""
+        declared = self.declared.get("time", "")
+        scale = 1.0 if "s" in self.symbols or not declared else parse_unit(declared)[0]
+        if scale == 1.0:
+            return f"{seconds:.4g} {self.text(Unit.of(s=1))}"
+        return f"{seconds / scale:.9g} {declared}"

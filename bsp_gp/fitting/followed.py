@@ -11,7 +11,6 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.fitting.parts.defects import LeftOut
-from bsp_gp.units import Unit
 
 __all__ = ["PASSES", "about_ends", "about_lost", "cut_short", "followed"]
 
@@ -78,7 +77,6 @@ def about_lost(hypothesis):
 def about_ends(hypothesis, dataset):
     """At which ends of tracks rows are left out, a note or none."""
     scenes, told = {scene.name: scene for scene in dataset.scenes}, []
-    second = dataset.units.text(Unit.of(s=1))
     for part in hypothesis.parts:
         # A single row is off by itself, and of several bodies a track is lost.
         is_end = type(part) is LeftOut and part.scene in scenes and part.stop - part.row > 1
@@ -86,9 +84,9 @@ def about_ends(hypothesis, dataset):
             continue
         times = scenes[part.scene].times
         if part.row == 0 and part.stop < len(times):
-            told.append(f"before {times[part.stop]:.4g} {second} in {part.scene!r}")
+            told.append(f"before {dataset.units.instant(times[part.stop])} in {part.scene!r}")
         elif part.row > 0 and part.stop >= len(times):
-            told.append(f"after {times[part.row - 1]:.4g} {second} in {part.scene!r}")
+            told.append(f"after {dataset.units.instant(times[part.row - 1])} in {part.scene!r}")
     if not told:
         return ()
     return (

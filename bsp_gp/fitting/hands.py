@@ -18,7 +18,6 @@ from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK
 from bsp_gp.fitting.rests import may_lose_ends
 from bsp_gp.fitting.snippets import snippets_under
-from bsp_gp.units import Unit
 
 PIECES = (7, 9, 11, 13, 15, 18, 21, 25, 31)
 """Rows of a piece; the fewest that show accelerations well enough."""
@@ -84,7 +83,7 @@ def without_hands(dataset, law):
     if not 0 < n_pieces <= MOST_PIECES:
         return None
     series = _lacking(dataset, law, pieces, levels)
-    scenes, told, second = [], [], dataset.units.text(Unit.of(s=1))
+    scenes, told, at = [], [], dataset.units.instant
     for scene in dataset.scenes:
         found = series.get(scene.name)
         count = len(scene.times)
@@ -95,8 +94,8 @@ def without_hands(dataset, law):
         if (first or last) and _is_still(scene.rows(first, count - last), levels):
             first = last = 0  # what slides until it stops is in nobody's hand
         scenes.append(scene.rows(first, count - last) if first or last else scene)
-        ends = [f"{first} before {scene.times[first]:.4g} {second}"] if first else []
-        ends += [f"{last} after {scene.times[count - 1 - last]:.4g} {second}"] if last else []
+        ends = [f"{first} before {at(scene.times[first])}"] if first else []
+        ends += [f"{last} after {at(scene.times[count - 1 - last])}"] if last else []
         told += [f"{' and '.join(ends)} in {scene.name!r}"] if ends else []
     if not told:
         return None

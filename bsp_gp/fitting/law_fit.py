@@ -41,6 +41,8 @@ from bsp_gp.units import Unit
 SCHEMA = "bsp_gp/fit/2"
 MAX_TOLD = 5
 """Constants that a fit tells unasked."""
+MOST_TOLD = 5
+"""Rows that are far off that are told one by one."""
 MISFIT = 1.5
 """Reduced chi-square above which what is left counts as correlated misfit, not as noise."""
 UNTOLD = 0.9
@@ -237,7 +239,7 @@ def fit_law(
         gradient=float(found.gradient), split=split.told,
         notes=(
             *dataset.notes, *said.notes, *about_lost(hypothesis),
-            *about_outliers(found, train.scenes is not split.learned, far_off),
+            *about_outliers(found, train.scenes is not split.learned, far_off, dataset.units),
             *doubts(found, wider, bool(split.test)),
             *without_prediction(found, errors.rollout_rmse),
             *aliasing_notes(found.law, train.scenes, dataset.units),
@@ -252,7 +254,7 @@ def training_part(dataset, scenes, said):
     -------
     train : Dataset
         Its scenes are `scenes` themselves where nothing is left out for being far off.
-    far_off : str
+    far_off : tuple
         Which rows are far off their neighbours.
 
     Raises
@@ -269,14 +271,16 @@ def training_part(dataset, scenes, said):
     return replace(train, scenes=kept), far_off
 
 
-def about_outliers(found, is_left_out, far_off):
+def about_outliers(found, is_left_out, far_off, units):
     """What became of rows that are far off their neighbours, a note or none."""
     if not far_off:
         return ()
     how = "left out of the fit" if is_left_out else "weighed like all others"
     if not is_left_out and math.isfinite(found.noise.degrees):
         how = "given little weight by the tails of the noise"
-    return (f"{CHECK}far off their neighbours, and {how}: {far_off}",)
+    rows = [f"{body} of {scene} at t = {units.instant(at)}" for body, scene, at in far_off]
+    more = f" and {len(rows) - MOST_TOLD} more" if len(rows) > MOST_TOLD else ""
+    return (f"{CHECK}far off their neighbours, and {how}: {', '.join(rows[:MOST_TOLD])}{more}",)
 
 
 def _plain(found):

@@ -12,7 +12,6 @@ import numpy as np
 
 from bsp_gp.data.point_errors import are_smooth, gross_errors
 
-LISTED = 5
 EXACT = 1e-9
 """Noise below this part of the extent is numerical."""
 RESOLUTION = 1e-7
@@ -43,8 +42,8 @@ def without_outliers(scenes, sigma):
     Returns
     -------
     scenes : tuple of Scene
-    listed : str
-        What is not seen any more; empty where that is nothing.
+    found : tuple of (str, str, float)
+        What is not seen any more: body, scene, and when, s.
     """
     return _without_outliers(tuple(scenes), tuple(np.asarray(sigma, dtype=float).tolist()))
 
@@ -66,14 +65,10 @@ def _without_outliers(scenes, sigma):
             track = scene.times, scene.positions[:, k], sigma
             is_far = gross_errors(*track, is_exact=exact) > 1
             positions[is_far, k] = np.nan
-            found += [
-                f"{scene.names[k]} of {scene.name} at t = {time:.4g}"
-                for time in scene.times[is_far]
-            ]
+            found += [(scene.names[k], scene.name, float(time)) for time in scene.times[is_far]]
         is_same = np.array_equal(positions, scene.positions, equal_nan=True)
         out.append(scene if is_same else replace(scene, positions=positions))
-    more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
-    return tuple(out), ", ".join(found[:LISTED]) + more
+    return tuple(out), tuple(found)
 
 
 def _smooth(scenes, sigma):

@@ -33,8 +33,8 @@ def bears_outliers(model, is_exact):
 
 def to_begin_with(dataset: Dataset, model):
     """The data without rows far off their neighbours, where tails will weigh these; or the same."""
-    scenes, listed = without_outliers(dataset.scenes, model.levels)
-    return replace(dataset, scenes=scenes) if listed else dataset
+    scenes, far_off = without_outliers(dataset.scenes, model.levels)
+    return replace(dataset, scenes=scenes) if far_off else dataset
 
 
 def as_normal(fit):

@@ -331,7 +331,7 @@ class _Ready:
     hypothesis : Hypothesis
         The declared one, with the properties that are unknown; tracks that no path under the
         declared law follows are cut short in it.
-    far_off : str
+    far_off : tuple
         Rows in it that are far off their neighbours.
     noise : NoiseEstimate
     is_swapped : bool
@@ -444,7 +444,7 @@ class _Ready:
         """What is known of the data beside a hypothesis that was fitted to them."""
         return (
             *self.noise.notes, *about_lost(hypothesis), *about_ends(hypothesis, self.train),
-            *about_outliers(found, self.is_weeded, self.far_off),
+            *about_outliers(found, self.is_weeded, self.far_off, self.dataset.units),
             *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
         )  # fmt: skip
 

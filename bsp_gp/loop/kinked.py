@@ -21,7 +21,7 @@ from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.walls import walls_of
 from bsp_gp.units import Unit
 
-VELOCITY, SECOND = Unit.of(m=1, s=-1), Unit.of(s=1)
+VELOCITY = Unit.of(m=1, s=-1)
 LEAST_MORE, ODD = 3, 4.0
 """Bounces more than there are axes, and errors by which velocities behind them must be off what any
 linear law makes of those before them, for bounces to be odd."""
@@ -154,4 +154,4 @@ def _unforeseen(scene, k, found):
 
 def _told(scene, k, kink, units):
     speed = f"{np.linalg.norm(kink.turn):.3g} {units.text(VELOCITY)}"
-    return f"that of {scene.names[k]} by {speed} at {kink.time:.4g} {units.text(SECOND)}"
+    return f"that of {scene.names[k]} by {speed} at {units.instant(kink.time)}"

@@ -94,3 +94,13 @@ def test_the_commonest_units_are_what_pint_makes_of_them(text):
     powers = {units._DIMENSION[name]: power for name, power in quantity.dimensionality.items()}
     assert unit.exponents == tuple(powers.get(k, 0) for k in range(len(units.BASE)))
     assert units._plain_unit(f"{text}/s s") is None  # what others may read otherwise is pint's
+
+
+@pytest.mark.parametrize(
+    ("declared", "said"),
+    [({}, "2.125e+11 time"), ({"time": "s"}, "2.125e+11 s"), ({"time": "day"}, "2459490.74 day"),
+     ({"time": "ms"}, "2.125e+14 ms")],
+)  # fmt: skip
+def test_an_instant_is_told_as_times_were_given(declared, said):
+    """A row of a table by days was far off "at t = 2.125e+11"."""
+    assert UnitSystem.from_declared(declared).instant(212_500_000_000.0) == said
