@@ -614,12 +614,13 @@ class _Turn:
         self._tell_near(every, above, highest, off)
 
     def share_noise(self):
-        """Tell what leaves less than the likeliest under its noise, where it is likelier so.
+        """Tell what leaves less than the likeliest cause under its noise, where it is likelier so.
 
         What a law leaves may pass for noise with a memory while less of it does not, beside
-        another: how much is noise is told from what is smooth in what each leaves.
+        another: how much is noise is told from what is smooth in what each leaves. Noise that is
+        told as such is no measure: beside it the best of all laws that were tried looks better.
         """
-        fitted = [row for row in self.rows[1:] if row.is_fit and row.id in self.fits]
+        fitted = [r for r in self.rows[1:] if r.is_fit and r.kind != "noise" and r.id in self.fits]
         top = max(fitted, key=lambda row: row.log_posterior, default=None)
         for row in fitted:
             found = self.fits[row.id]
