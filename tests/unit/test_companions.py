@@ -196,11 +196,11 @@ def test_a_report_tells_the_intervals_of_the_draws(world, family, found):
     details = Companions().details(view, family.proposals[0], found, np.random.default_rng(0))
     laplace = constant_estimates(found, train)
     draws = dict(zip(details["names"], np.array(details["draws"]).T, strict=True))
-    for constant in told(laplace, details):
+    for constant in told(laplace, details, found):
         ends = np.quantile(draws[constant.name], [0.05, 0.95])
         assert (constant.low, constant.high) == pytest.approx(ends)
     other = {**details, "best": [value + 1e-6 for value in details["best"]]}
-    assert told(laplace, other) == laplace  # those are draws of another fit
+    assert told(laplace, other, found) == laplace  # those are draws of another fit
     assert {c.name: c.unit for c in laplace} == {
         "h_x1": "m", "h_y1": "m", "u_x1": "m/s", "u_y1": "m/s", "M1": "kg",
     }  # fmt: skip
