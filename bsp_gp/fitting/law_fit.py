@@ -10,6 +10,7 @@ import numpy as np
 
 from bsp_gp.data.drawn import plot_constants
 from bsp_gp.data.noise import checked_noise, declare_noise, estimate_noise
+from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK, Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.data.torn import without_torn_ends
@@ -41,7 +42,7 @@ from bsp_gp.units import Unit
 SCHEMA = "bsp_gp/fit/2"
 MAX_TOLD = 5
 """Constants that a fit tells unasked."""
-MOST_TOLD = 5
+MOST_FAR_OFF = 5
 """Rows that are far off that are told one by one."""
 MISFIT = 1.5
 """Reduced chi-square above which what is left counts as correlated misfit, not as noise."""
@@ -279,8 +280,7 @@ def about_outliers(found, is_left_out, far_off, units):
     if not is_left_out and math.isfinite(found.noise.degrees):
         how = "given little weight by the tails of the noise"
     rows = [f"{body} of {scene} at t = {units.instant(at)}" for body, scene, at in far_off]
-    more = f" and {len(rows) - MOST_TOLD} more" if len(rows) > MOST_TOLD else ""
-    return (f"{CHECK}far off their neighbours, and {how}: {', '.join(rows[:MOST_TOLD])}{more}",)
+    return (f"{CHECK}far off their neighbours, and {how}: {listed(rows, MOST_FAR_OFF)}",)
 
 
 def _plain(found):

@@ -108,7 +108,7 @@ REASONS = {
     "held_out_disagrees": "it describes the tracks that it was found in, but what was held out "
     "does not follow it within the noise",
     "likelier_refused": "what is likelier on the tracks in which laws are looked for makes "
-    "predictions of what was held out no better; of the others it is the likeliest that does",
+    "predictions of what was held out no better; of the others this is one with which they are",
     "noise_likelier": "noise with a memory is as likely on the tracks in which laws are looked "
     "for; but it foresees nothing, and this does",
     "strength_varies": "it describes these tracks, but its strength is not the same everywhere",

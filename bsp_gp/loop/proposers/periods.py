@@ -289,7 +289,8 @@ class Scan:
 
     def beside(self, columns):
         """Columns (n, c) beside what constants of the law, and the basis, can take up."""
-        return columns - self._others @ (self._others.T @ columns)
+        q = self._others
+        return columns - q @ (q.T @ columns)
 
     def _gain(self, columns):
         """Gains of columns (n, F, c), (F, 1 + B)."""
