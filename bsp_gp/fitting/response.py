@@ -32,7 +32,7 @@ from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.engine.walls import walls_of
-from bsp_gp.physics.evaluation import Settling
+from bsp_gp.physics.evaluation import Instants, Settling
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
 from bsp_gp.threads import one_thread
 
@@ -177,6 +177,35 @@ class ResponseRegression(Regression):
                 batches.append(batch.of(chosen))
                 rows.append(numbers[:, chosen].ravel())
         return replace(self, batches=tuple(batches)), np.concatenate(rows)
+
+    def instants(self, terms):
+        """Terms of a kind at the instants of every batch, list of `Instants`."""
+        return [Instants(terms, b.bodies, b.positions, b.velocities, b.times) for b in self.batches]
+
+    def columns_at(self, instants, constants):
+        """Moments of terms for P values of the constants inside them, shape (n, P, c).
+
+        Parameters
+        ----------
+        instants : list of Instants
+            Of the terms, as `instants` makes them.
+        constants : dict of str to ndarray, shape (P,)
+
+        Returns
+        -------
+        ndarray
+            nan in a column whose term has no finite value at some instant that counts.
+        """
+        parts, lost = [], False
+        for batch, own in zip(self.batches, instants, strict=True):
+            values = own.accelerations(constants)
+            bad = ~np.isfinite(values) & batch.valid[:, :, :, None, None]
+            lost = lost | bad.any(axis=(0, 1, 2, 5))
+            moments = batch.whiten(np.where(np.isfinite(values), values, 0.0))
+            parts.append(moments.reshape(-1, *moments.shape[3:5]))
+        out = np.concatenate(parts)
+        out[:, lost] = np.nan
+        return out
 
     def column(self, term, per_entity=False, cache=None):
         """As `Regression.column`; bodies are told apart before their moments are taken."""

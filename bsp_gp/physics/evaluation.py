@@ -162,6 +162,74 @@ def _contacts_of(formula):
     return _contacts_of(formula.args[0]) if formula.operator in ("neg", "div") else ()
 
 
+class Instants:
+    """Terms of a kind at the same instants, for many values of the constants inside them.
+
+    What no constant changes is computed once.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+    positions, velocities : ndarray, shape (n, S, N, d)
+    times : ndarray, shape (n, S)
+    """
+
+    def __init__(self, terms, bodies, positions, velocities, times):
+        self._lookup = law_inputs(terms[0].kind, bodies, positions, velocities, times)
+        self._settlings = [Settling(term, bodies) for term in terms]
+        self._shape = (*np.shape(times), len(bodies.receivers), bodies.n_dims)
+        self._values, self._steps = [], []
+        numbers = {}
+        with np.errstate(all="ignore"):
+            self._ends = [self._add(term.acceleration_formula, numbers) for term in terms]
+
+    def _add(self, node, numbers):
+        """Number of a node's value; a step makes it where constants change it."""
+        if node in numbers:
+            return numbers[node]
+        value = step = None
+        if isinstance(node, Call):
+            arguments = [self._add(arg, numbers) for arg in node.args]
+            step = OPERATORS[node.operator].evaluate, tuple(a.type for a in node.args), arguments
+            if node.is_constant_free:
+                value, step = step[0](step[1], *[self._values[k] for k in arguments]), None
+        elif isinstance(node, Constant):
+            step = node.name
+        else:
+            value = self._lookup[node.name] if isinstance(node, Input) else np.float64(node.value)
+        number = numbers[node] = len(self._values)
+        self._values.append(value)
+        if step is not None:
+            self._steps.append((number, step))
+        return number
+
+    def accelerations(self, constants):
+        """Accelerations of the terms for P values of the constants, shape (n, S, R, P, c, d).
+
+        Parameters
+        ----------
+        constants : dict of str to ndarray, shape (P,)
+
+        Returns
+        -------
+        ndarray
+            Not finite where a term is not.
+        """
+        values, tail = self._values.copy(), (1,) * (len(self._shape) - 2 + self._lookup.tail)
+        n_values = len(next(iter(constants.values())))
+        with np.errstate(all="ignore"):
+            for number, step in self._steps:
+                if isinstance(step, str):
+                    values[number] = np.reshape(constants[step], (-1, *tail))
+                else:
+                    compute, types, arguments = step
+                    values[number] = compute(types, *[values[k] for k in arguments])
+            out = np.empty((n_values, len(self._ends), *self._shape))
+            for c, (end, settling) in enumerate(zip(self._ends, self._settlings, strict=True)):
+                out[:, c] = settling(values[end], (n_values, *self._shape))
+        return np.moveaxis(out, (0, 1), (3, 4))
+
+
 class Settling:
     """Sums a term's values over sources and turns the force into an acceleration.
 

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.tangent import Tangent, p_of_gain
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.loop.proposers.libraries import Rows
 from bsp_gp.loop.view import View, selected
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import kind_of
@@ -73,6 +75,32 @@ def test_it_holds_beside_free_constants():
         view.fit.chisqr - fitted.chisqr, rel=0.03, abs=0.1
     )
     assert score(view, "m_i * e_y").rank == 0  # the law has it
+
+
+def test_moments_about_many_places_are_those_about_each():
+    dataset = thrown(0.1, masses=(1.0, 2.0))
+    view = view_of(dataset, "-g * m_i * e_y")
+    types = dataset_types(dataset)
+    texts = (
+        "m_i * (y_i - h) * e_y", "norm(v_i) * v_i", "m_i / (y_i - h) * e_x", "m_i * e_y",
+        "m_i * exp((x_i - h) / D) * e_x",
+    )  # fmt: skip
+    rows = [(parse_formula(text, types), k) for k, text in enumerate(texts)]
+    places = [[1.0, 2.0], [-3.0, 1e-5], [0.5, 4.0]]
+    found = Rows(view, rows, ("h", "D")).moments(np.array(places))
+    assert found.shape == (3, len(view.left), len(texts))
+    for (h, d), columns in zip(places, found, strict=True):
+        for text, column in zip(texts, columns.T, strict=True):
+            own = text.replace("h)", f"{h!r} [m])").replace("D)", f"{d!r} [m])")
+            try:
+                single = view.beside(view.force_columns([parse_formula(own, types)]))[:, 0]
+            except EvaluationError:
+                single = np.zeros(len(column))
+            if text == "m_i * e_y":  # the law has it
+                single = np.zeros(len(column))
+            np.testing.assert_allclose(column, single, atol=1e-9 * np.abs(single).max(initial=1))
+    grown = found[1, :, 4]
+    assert not grown.any() and found[0, :, 4].any()  # beyond all numbers at one place alone
 
 
 def test_forces_between_bodies_move_both_tracks():

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.optimize import minimize
 
 from bsp_gp.language.formula import Call
-from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.proposal import NEW, Family
 from bsp_gp.loop.proposers.libraries import (
@@ -26,7 +25,6 @@ from bsp_gp.loop.proposers.periods import coordinate_of
 from bsp_gp.loop.proposers.winds import past_medium, velocities_seen
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import fresh_name
-from bsp_gp.units import Unit
 
 MOST_LOOKS = 200
 """Winds that are tried."""
@@ -64,7 +62,7 @@ def _library(view, axes, blowing):
     fastest = np.abs(velocities_seen(view)[:, blowing]).max(axis=0)
     fastest = np.where(fastest > 0, fastest, 1.0).tolist()
     extents = tuple((-most, most) for most in fastest)
-    placed = Placed(view, rows, tuple(names), extents, STATE_INPUTS["v_i"].unit)
+    placed = Placed(view, rows, tuple(names), extents)
     first = np.concatenate([np.zeros((1, len(fastest))), 0.3 * np.diag(fastest)])
     found = minimize(
         placed.unexplained, first[0], method="Nelder-Mead",
@@ -83,7 +81,7 @@ def _thinning(view, axes, upright):
     extents = ((THINNEST * (high - low), THICKEST * (high - low)),)
     for sign in ("-", ""):  # the axis may point down
         drag = parse_formula(f"exp({sign}{height} / {name}) * norm(v_i) * v_i", types)
-        placed = Placed(view, [(drag, NEW), *_pushes(types, axes)], (name,), extents, Unit.of(m=1))
+        placed = Placed(view, [(drag, NEW), *_pushes(types, axes)], (name,), extents)
         library = placed.best_on_line()
         found += [library] if library else []
     best = min(found, key=lambda each: left_by(view, each.columns), default=None)

@@ -5,6 +5,7 @@ about a place that is sought, and beside a push with a period where they leave m
 """
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.hypothesis import Parameter
 from bsp_gp.fitting.parts.ranged import RangedForces
 from bsp_gp.inference.priors import Prior
-from bsp_gp.language.formula import Call, Constant, Input, Number, product, substitute
+from bsp_gp.language.formula import Call, Constant, Input, product
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import NEW, Family, Proposal
@@ -46,6 +47,8 @@ SEPARATE = 0.02
 """Part of a term that must lie beside the law, and beside a wave, to count as its own."""
 LOWEST = -8.0
 """Of a power that is fitted."""
+MOST_AT_ONCE = 1 << 21
+"""Numbers of the accelerations that are told at once."""
 
 
 def moving_axes(view):
@@ -123,6 +126,59 @@ class Library:
     placed: object = None
 
 
+class Rows:
+    """Terms about places, and what of their moments the law does not take up.
+
+    Parameters
+    ----------
+    rows : list of (Formula, int)
+        Terms, and how much of each is new, as a library has it.
+    names : tuple of str
+        Constants inside them.
+    """
+
+    def __init__(self, view, rows, names=()):
+        self.view, self.rows, self.names = view, rows, names
+        is_moving = [bool(set(names) & set(formula.constants)) for formula, _ in rows]
+        self._moving = np.flatnonzero(is_moving)
+        terms = [Term(rows[k][0], "field") for k in self._moving]
+        self._instants = view.response.regression.instants(terms) if terms else []
+        self._still = np.full((len(view.left), len(rows)), np.nan)
+        for k in np.flatnonzero(np.logical_not(is_moving)):
+            with suppress(EvaluationError):  # it grows beyond all numbers
+                self._still[:, [k]] = view.force_columns([rows[k][0]])
+
+    @property
+    def n_at_once(self):
+        """Places whose moments are taken together."""
+        states = sum(b.target.size for b in self.view.response.regression.batches)
+        return max(MOST_AT_ONCE // max(states * len(self._moving), 1), 1)
+
+    def moments(self, places):
+        """Moments beside the law of all terms about places (P, k), shape (P, n, c).
+
+        0 where the law takes a term up, or it grows beyond all numbers.
+        """
+        columns = np.repeat(self._still[:, None], len(places), axis=1)
+        if self._instants:
+            known = dict(zip(self.names, np.transpose(places), strict=True))
+            columns[..., self._moving] = self.view.response.regression.columns_at(
+                self._instants, known
+            )
+        columns = np.where(np.isfinite(columns).all(axis=0), columns, 0.0)
+        flat = columns.reshape(len(columns), -1)
+        beside = self.view.beside(flat)
+        is_own = np.linalg.norm(beside, axis=0) > SEPARATE * np.linalg.norm(flat, axis=0)
+        return np.moveaxis(np.where(is_own, beside, 0.0).reshape(columns.shape), 1, 0)
+
+    def library(self, at=()):
+        """The terms that the law does not take up; None where none is left."""
+        columns = self.moments(np.reshape(at, (1, -1)))[0]
+        own = np.flatnonzero(columns.any(axis=0))
+        formulas, news = tuple(self.rows[k][0] for k in own), [self.rows[k][1] for k in own]
+        return Library(formulas, np.array(news), columns[:, own]) if len(own) else None
+
+
 class Placed:
     """A library about a place that is sought.
 
@@ -134,36 +190,30 @@ class Placed:
         Coordinates of the place.
     extents : tuple of (float, float)
         Within which they lie.
-    unit : Unit
-        Of them.
     """
 
-    def __init__(self, view, rows, names, extents, unit):
-        self.view, self.rows, self.unit, self.names = view, rows, unit, names
-        self.extents = extents
+    def __init__(self, view, rows, names, extents):
+        self.view, self.names, self.extents = view, names, extents
         self.places = tuple(
             Parameter(name, low=low, high=high, prior=Prior("uniform", low, high))
             for name, (low, high) in zip(names, extents, strict=True)
         )
-        self.lesser, _ = view.lesser(MOST_WEIGHTS)  # by which the place is sought
+        lesser, _ = view.lesser(MOST_WEIGHTS)  # by which the place is sought
+        self._sought = Rows(lesser, rows, names)
+        self.rows = self._sought if lesser is view else Rows(view, rows, names)
 
     def library(self, at):
         """The terms about a place; None where none is left beside the law."""
         at = tuple(map(float, at))
-        found = library_of(self.view, self.rows, self._here(at))
+        found = self.rows.library(at)
         return found and replace(found, places=self.places, at=at)
-
-    def _here(self, at):
-        """Numbers in the place of the names of its coordinates."""
-        return {Constant(n): Number(x, self.unit) for n, x in zip(self.names, at, strict=True)}
 
     def best_on_line(self):
         """The library where all of it explains most, of a place that is one number."""
-        ((low, high),) = ((p.low, p.high) for p in self.places)
+        ((low, high),) = self.extents
         line = np.linspace(low, high, PLACES)
-        best = line[int(np.argmin([self.unexplained((at,)) for at in line]))]
-        step = line[1] - line[0]
-        return self.near(best, step)
+        best = line[int(np.argmin(self.left_at(line[:, None])))]
+        return self.near(best, line[1] - line[0])
 
     def near(self, at, step):
         """The same within a step of a place."""
@@ -174,12 +224,20 @@ class Placed:
 
     def unexplained(self, at):
         """What is left by all terms about a place, of so many chains as are looked at."""
-        if self.view.tick is not None:
-            self.view.tick()
-        is_within = all(p.low <= x <= p.high for p, x in zip(self.places, at, strict=True))
-        known = library_of(self.lesser, self.rows, self._here(at)) if is_within else None
-        left = self.lesser.left
-        return left_by(self.lesser, known.columns) if known else float(left @ left)
+        return self.left_at(np.array([at]))[0]
+
+    def left_at(self, places):
+        """The same about each of places (P, k), shape (P,)."""
+        sought, view = self._sought, self._sought.view
+        out = np.full(len(places), float(view.left @ view.left))
+        low, high = np.transpose(self.extents)
+        within = np.flatnonzero(((places >= low) & (places <= high)).all(axis=1))
+        for first in range(0, len(within), sought.n_at_once):
+            if self.view.tick is not None:
+                self.view.tick()
+            some = within[first : first + sought.n_at_once]
+            out[some] = [left_by(view, columns) for columns in sought.moments(places[some])]
+        return out
 
 
 def settled(sum_):
@@ -190,31 +248,12 @@ def settled(sum_):
         return sum_
     rows = [(library.formulas[k], int(library.news[k])) for k in members]
     ((low, high),) = placed.extents
-    few = Placed(placed.view, rows, placed.names, placed.extents, placed.unit)
+    few = Placed(placed.view, rows, placed.names, placed.extents)
     other = few.near(library.at[0], SETTLING * (high - low))
     if other is None or len(other.formulas) < len(rows):
         return sum_
     left = left_by(placed.view, other.columns)
     return (left, other, tuple(range(len(rows))), wave) if left < loss else sum_
-
-
-def library_of(view, rows, at=None):
-    """The terms that the law does not take up; None where none is left."""
-    formulas, news, columns = [], [], []
-    for formula, new in rows:
-        try:
-            column = view.force_columns([substitute(formula, at) if at else formula])
-        except EvaluationError:  # it grows beyond all numbers
-            continue
-        size = np.linalg.norm(column)
-        beside = view.beside(column)
-        if size > 0 and np.linalg.norm(beside) > SEPARATE * size:
-            formulas.append(formula)
-            news.append(new)
-            columns.append(beside)
-    if not columns:
-        return None
-    return Library(tuple(formulas), np.array(news), np.concatenate(columns, axis=1))
 
 
 def sums_of(view, library, wave=None):

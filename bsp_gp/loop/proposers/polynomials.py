@@ -18,11 +18,11 @@ from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.loop.proposal import NEW, Family
 from bsp_gp.loop.proposers.libraries import (
     Placed,
+    Rows,
     asks_series,
     drags,
     extent_of,
     family_of,
-    library_of,
     moving_axes,
 )
 from bsp_gp.loop.proposers.periods import coordinate_of
@@ -100,7 +100,7 @@ def _about_origin(view, axes):
     types = dataset_types(view.dataset)
     coordinates = [coordinate_of(types, axis) for axis in axes]
     highest = HIGHEST if len(axes) == 1 else HIGHEST_IN_PLANE
-    return library_of(view, _rows(view, coordinates, highest))
+    return Rows(view, _rows(view, coordinates, highest)).library()
 
 
 def _of_an_angle(view, axis):
@@ -113,7 +113,7 @@ def _of_an_angle(view, axis):
         angle = Call("mul", Number(float(often)), turned) if often > 1 else turned
         rows += [(product([Call(wave, angle), direction]), new)
                  for wave, new in zip(("sin", "cos"), new_ones, strict=True)]  # fmt: skip
-    return library_of(view, rows)
+    return Rows(view, rows).library()
 
 
 def _about_a_place(view, axis, low, high):
@@ -122,7 +122,7 @@ def _about_a_place(view, axis, low, high):
     name = fresh_name(view.fit.law, f"h_{'xyz'[axis]}")
     shifted = Call("sub", coordinate, Constant(name))
     rows = _rows(view, [(shifted, direction)], HIGHEST, is_odd=True)
-    return Placed(view, rows, (name,), ((low, high),), coordinate.type.unit).best_on_line()
+    return Placed(view, rows, (name,), ((low, high),)).best_on_line()
 
 
 def _about_a_centre(view, axes, extents, placed):
@@ -135,10 +135,10 @@ def _about_a_centre(view, axes, extents, placed):
     freed = {formula: (free, k) for (formula, _), k in zip(rows, OF_DISTANCE, strict=True)}
     rows += [(coordinate_of(types, axis)[1], 0) for axis in axes] + drags(view, axes)
     rows += [(form, 1) for form in placed]
-    placed = Placed(view, rows, names, tuple(extents), STATE_INPUTS["p_i"].unit)
+    placed = Placed(view, rows, names, tuple(extents))
     lines = [np.linspace(*extent, ACROSS + 2)[1:-1] for extent in extents]
     grid = np.stack(np.meshgrid(*lines), axis=-1).reshape(-1, len(axes))
-    best = grid[int(np.argmin([placed.unexplained(at) for at in grid]))]
+    best = grid[int(np.argmin(placed.left_at(grid)))]
     found = minimize(
         placed.unexplained, best, method="Nelder-Mead", options={"maxfev": MOST_LOOKS, "xatol": 0.0}
     )  # fmt: skip
@@ -152,16 +152,16 @@ def _about_a_post(view, axes, extents):
     Both of its parts, one as the distance and one of constant size, are linear in what they pull
     with, so that the point alone is sought.
     """
-    types, unit = dataset_types(view.dataset), STATE_INPUTS["p_i"].unit
+    types = dataset_types(view.dataset)
     names, distance, towards = _towards(view, axes)
     beside = [(coordinate_of(types, axis)[1], 0) for axis in axes] + drags(view, axes)
     reach = POST_REACH * max(high - low for low, high in extents)
     wide = [((low + high) / 2 - reach, (low + high) / 2 + reach) for low, high in extents]
     loose = [(Call("mul", distance, towards), 0), (towards, 0), *beside]
-    placed = Placed(view, loose, names, tuple(wide), unit)
+    placed = Placed(view, loose, names, tuple(wide))
     lines = [np.linspace(*extent, ACROSS_POSTS) for extent in wide]
     grid = np.stack(np.meshgrid(*lines), axis=-1).reshape(-1, len(axes))
-    heights = [placed.unexplained(at) for at in grid]
+    heights = placed.left_at(grid)
     found = min((
         minimize(placed.unexplained, grid[k], method="Nelder-Mead",
                  options={"maxfev": MOST_LOOKS, "xatol": 0.0})
@@ -177,7 +177,7 @@ def _about_a_post(view, axes, extents):
     name = fresh_name(view.fit.law, "D")
     tied = Call("mul", Call("sub", distance, Constant(name)), towards)
     rows, ends = [(tied, NEW), *beside], (*wide, (0.0, reach))
-    whole = Placed(view, rows, (*names, name), ends, unit).library((*found.x, length))
+    whole = Placed(view, rows, (*names, name), ends).library((*found.x, length))
     return whole and replace(whole, largest=LARGEST_ABOUT_POSTS)
 
 

@@ -14,12 +14,12 @@ from bsp_gp.language.formula import Call, Constant, Input, Number, product
 from bsp_gp.loop.proposal import NEW, PATIENT, Family
 from bsp_gp.loop.proposers.libraries import (
     Placed,
+    Rows,
     asks_series,
     drags,
     extent_of,
     family_of,
     left_by,
-    library_of,
     moving_axes,
 )
 from bsp_gp.loop.proposers.periods import coordinate_of
@@ -45,7 +45,7 @@ class Regimes:
         axes, scenes = moving_axes(view), view.dataset.scenes
         types = dataset_types(view.dataset)
         rows = [(coordinate_of(types, axis)[1], 0) for axis in axes] + drags(view, axes)
-        plain = library_of(view, rows)
+        plain = Rows(view, rows).library()
         bar = LESS * (left_by(view, plain.columns) if plain else float(view.left @ view.left))
         edges = [(*coordinate_of(types, a), f"h_{'xyz'[a]}", extent_of(view, a)) for a in axes]
         span = None  # of several recordings each has a clock
@@ -59,7 +59,7 @@ class Regimes:
             if direction is not None:  # what it meets there gives way: a rubber band, a bumper
                 own.append(Call("mul", Call("sub", quantity, Constant(name)), direction))
             changing = [(_on(quantity, name, side, row), NEW) for side in _SIDES for row in own]
-            placed = Placed(view, rows + changing, (name,), (extent,), quantity.type.unit)
+            placed = Placed(view, rows + changing, (name,), (extent,))
             found = placed.best_on_line()
             if found is not None and left_by(view, found.columns) < bar:
                 libraries.append(replace(found, placed=placed))
@@ -87,10 +87,10 @@ def _stages(view, axes, span):
     for push in (coordinate_of(types, axis)[1] for axis in axes):
         rows += [(push, 0), (_on(time, names[0], "sub", push), NEW)]
     rows += [(_on(time, names[1], "sub", drag), 0), (_on(time, names[1], "add", drag), NEW)]
-    placed = Placed(view, rows, tuple(names), (span, span), types["t"].unit)
+    placed = Placed(view, rows, tuple(names), (span, span))
     line = np.linspace(*span, INSTANTS + 2)[1:-1]
-    pairs = [(early, late) for k, early in enumerate(line) for late in line[k + 1 :]]
-    first = min(pairs, key=placed.unexplained)
+    pairs = np.array([(early, late) for k, early in enumerate(line) for late in line[k + 1 :]])
+    first = pairs[int(np.argmin(placed.left_at(pairs)))]
     step = line[1] - line[0]
     found = minimize(
         placed.unexplained, first, method="Nelder-Mead",

@@ -10,10 +10,10 @@ from bsp_gp.language.formula import Input
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import NEW, Family, is_turning
 from bsp_gp.loop.proposers.libraries import (
+    Rows,
     asks_series,
     drags,
     family_of,
-    library_of,
     moving_axes,
 )
 from bsp_gp.loop.proposers.periods import coordinate_of
@@ -36,7 +36,7 @@ class Spun:
         pushes = [(coordinate_of(types, axis)[1], 0) for axis in axes]
         # A second component makes a sum that no other has.
         own = [(row, NEW // 2 * is_turning(row)) for row, _ in drags(view, axes)]
-        library = library_of(view, pushes + own)
+        library = Rows(view, pushes + own).library()
         libraries = [] if library is None else [library]
         family = family_of(self.name, view, libraries, has_waves=False)
         return replace(family, proposals=tuple(_costed(view, p) for p in family.proposals))
