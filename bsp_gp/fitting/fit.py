@@ -567,12 +567,12 @@ class _Run:
         parameters = (*self.parameters, *more)
         return tuple(Motion(self.probed_law, chains, parameters) for chains in self.groups)
 
-    def left_at(self, minimum):
+    def left_at(self, climb, minimum):
         """What every row is at a minimum, and observed less predicted, (T, C)."""
         nodes = minimum.point.nodes
-        speeds, places = ([np.moveaxis(own[k], (-2, -1), (0, 1)) for own in nodes] for k in (1, 0))
-        left = [c.observed - own for c, own in zip(self.groups, places, strict=True)]
-        return replace(self.channels, speed=np.abs(join(speeds))), join(left)
+        speeds = join(np.moveaxis(own[1], (-2, -1), (0, 1)) for own in nodes)
+        left = join(_left_at(climb, minimum))
+        return replace(self.channels, speed=np.abs(speeds)), left
 
     @property
     def is_noise_estimated(self):
@@ -683,18 +683,23 @@ class _Tracks:
     white_variance: np.ndarray
 
 
+def _left_at(climb, minimum):
+    """Observed less what is seen of the nodes of a minimum, (T, S, R, d) per group."""
+    constants, _ = climb.coordinates.constants(minimum.values)
+    for shooting, nodes in zip(climb.problem.shootings, minimum.point.nodes, strict=True):
+        shooting.flow.motion.set_constants(constants)
+        yield shooting.chains.observed - sight(shooting.flow, nodes).places
+
+
 def _tracks_of(run, climb, minimum):
     residuals, whitened, locals_, shareds, variances, speeds = [], [], [], [], [], []
-    constants, _ = climb.coordinates.constants(minimum.values)
     n_most = max(s.flow.n_state for s in climb.problem.shootings)
-    for shooting, nodes, noise, parts in zip(
-        climb.problem.shootings, minimum.point.nodes, climb.noises,
+    for shooting, nodes, noise, left, parts in zip(
+        climb.problem.shootings, minimum.point.nodes, climb.noises, _left_at(climb, minimum),
         minimum.linearised.condensed if minimum.linearised else [()] * len(run.groups),
         strict=True,
     ):  # fmt: skip
         chains = shooting.chains
-        shooting.flow.motion.set_constants(constants)
-        left = chains.observed - sight(shooting.flow, nodes).places
         left = np.where(np.isfinite(noise.variance), left, np.nan)
         residuals.append(left)
         rows = np.broadcast_to(np.arange(len(left))[:, None], left.shape[:2])

@@ -349,6 +349,8 @@ def is_misfit(found):
 def constant_estimates(found, dataset, bounds=None):
     """The constants of a fit with 90 % intervals; Student's t where the noise was estimated.
 
+    Of a positive number whose prior is logarithmic they are symmetric in its logarithm.
+
     Parameters
     ----------
     found : Fit
@@ -365,12 +367,13 @@ def constant_estimates(found, dataset, bounds=None):
     for term in found.law.terms:
         for name, unit in constant_units(term).items():
             units[name] = dataset.units.text(unit)
-    priors = {}
+    priors, positive = {}, set()
     for part in found.law.frame:
         text = Unit.text if getattr(part, "is_absolute", False) else dataset.units.text
         units |= {p.name: text(p.unit) for p in part.parameters if p.unit is not None}
         units |= dict.fromkeys(getattr(part, "angles", ()), "rad")
         priors |= {p.name: p for p in part.parameters if part.kind == "world"}
+        positive |= {p.name for p in part.parameters if getattr(p.prior, "is_logarithmic", False)}
     for body in found.law.unseen:
         units |= {name: dataset.units.text(unit) for name, unit in body.units.items()}
     bounds = {**{name: (p.low, p.high) for name, p in priors.items()}, **bounds}
@@ -395,7 +398,10 @@ def constant_estimates(found, dataset, bounds=None):
             state = "undetermined"
         elif (value <= low or value >= high) and not found.is_failed:
             state = "at_bound"
-        ends = (max(value - half, low), min(value + half, high))
+        ends = value - half, value + half
+        if name in positive and value > 0:  # a period that is hardly known is not below zero
+            ends = tuple(value * np.exp((-half / value, half / value)))
+        ends = (max(ends[0], low), min(ends[1], high))
         if found.is_failed:
             ends = (math.nan, math.nan)
         out.append(ConstantEstimate(name, float(value), *map(float, ends), unit, entity, state))

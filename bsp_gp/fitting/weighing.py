@@ -97,7 +97,7 @@ def weighed(run, climb, minimum, model):
     """
     meshes, before = climb.problem.meshes, -math.inf
     for _ in range(ROUNDS):
-        channels, residual = run.left_at(minimum)
+        channels, residual = run.left_at(climb, minimum)
         reached = log_likelihood(model, channels, residual)
         is_last = math.isinf(model.degrees) or reached - before < SMALL_GAIN or run.is_over()
         before = reached
@@ -116,7 +116,7 @@ def informed(run, climb, minimum, model):
     """The minimum with the linearisation that tells how well it is known."""
     if math.isinf(model.degrees) or minimum.linearised is None:
         return minimum
-    channels, _ = run.left_at(minimum)
+    channels, _ = run.left_at(climb, minimum)
     noises = run.noises(model, channels, expected_weights(model, channels))
     whole = climb.with_noises(noises).whole(climb.problem.meshes)
     linearised = whole.linearise(minimum.point)

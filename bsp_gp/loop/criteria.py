@@ -47,8 +47,8 @@ CAUSES = (
     "belt", "scale", "clock", "tilt", "zero", "pivot", "slant", "drift", "offset", "origin",
     "length", "delay", "exposure", "lens", "shutter", "perspective", "inclined", "late_log",
     "swapped_tracks", "lost_track", "untrimmed", "bad_row", "clock_jump", "hidden_body", "orbit",
-    "trend", "contact", "collision", "bounce", "rod", "wire", "frame", "reference", "kicks",
-    "noise", "varying_strength", "free_force",
+    "trend", "bent_trend", "contact", "collision", "bounce", "rod", "wire", "frame", "reference",
+    "kicks", "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
 KICKED = ("contact", "collision")

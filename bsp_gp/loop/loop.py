@@ -747,16 +747,20 @@ class _Turn:
         """
         fitted = (row for row in self.rows[1:] if row.is_fit and row.id in self.proposals)
         row = max(fitted, key=lambda row: row.log_posterior, default=None)
-        if row is None or row.status != "at_bound" or not self.proposals[row.id].formulas:
+        if row is None or row.status != "at_bound":
             return
         proposal, found = self.proposals[row.id], self.fits[row.id]
-        n_numbers = len(proposal.formulas[0].constants)
-        forms = [
-            p for f in self.families if f.name == row.source for p in f.proposals
-            if len(p.formulas) == 1 and len(p.formulas[0].constants) < n_numbers
-        ]  # fmt: skip
-        for form in forms[:MOST_LIMITS]:
-            simpler = _led_by(form, proposal, found, self.run.criteria)
+        own = [p for f in self.families if f.name == row.source for p in f.proposals]
+        if proposal.formulas:
+            n_numbers = len(proposal.formulas[0].constants)
+            forms = [
+                _led_by(form, proposal, found, self.run.criteria) for form in own
+                if len(form.formulas) == 1 and len(form.formulas[0].constants) < n_numbers
+            ]  # fmt: skip
+        else:  # the likeliest of every size
+            lesser = reversed([form for form in own if form.rank < proposal.rank])
+            forms = list({form.rank: form for form in lesser}.values())
+        for simpler in forms[:MOST_LIMITS]:
             if simpler.key in {r.key for r in self.rows if r.is_fit} or self.note_time("fits"):
                 continue
             self.run.says(f"fit of a limit: {simpler.text}")

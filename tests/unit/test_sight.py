@@ -72,6 +72,10 @@ def test_a_trend_is_steady():
     part = Trend((Parameter("trend1"),), 5.0)
     value, slopes = part.added(np.array([5.0, 7.0]), {"trend1": 3.0})
     assert value.tolist() == [0.0, 6.0] and slopes.tolist() == [[0.0, 2.0]]
+    bent = Trend((Parameter("trend1"), Parameter("bend1")), 5.0)
+    value, slopes = bent.added(np.array([5.0, 7.0]), {"trend1": 3.0, "bend1": 0.5})
+    assert value.tolist() == [0.0, 7.0] and slopes.tolist() == [[0.0, 2.0], [0.0, 2.0]]
+    assert bent.describe() == "trend1 t + bend1 t^2 / 2"
 
 
 def test_what_is_read(tmp_path, rng):
@@ -130,6 +134,31 @@ def test_a_companion_on_an_ellipse(tmp_path, rng):
     assert abs(shape.value - 0.45) < 1.5 * (shape.high - shape.low)
     text = " ".join(summary_text(report).split())
     assert "unseen companion with a period of 97." in text and "velocity error" in text
+
+
+def test_heavy_tails_of_the_errors_count_beside_a_companion(tmp_path, rng):
+    # Weights of rows were those of all that a star moves, not of what an orbit leaves of that.
+    dates, speeds, errors = observed(rng, 120, 700, (51.4, 900.0, 0.8, 0.42, 0.4), error=20.0)
+    speeds += 40.0 * rng.standard_t(2, len(dates))
+    data = load_dataset(write(tmp_path / "star.csv", dates, speeds, errors))
+    report = close_loop(data, "nothing", rng=rng, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    assert [c.name for c in report.constants] == ["P1", "K1", "longitude1", "e1", "omega1"]
+    size = report.constants[1]
+    assert abs(size.value - 900.0) < 1.5 * (size.high - size.low) < 60.0
+
+
+def test_a_companion_far_out_bends_the_velocities(tmp_path, rng):
+    dates, _, errors = observed(rng, 90, 3000)
+    since = (dates - (dates[0] + dates[-1]) / 2) / 1000.0
+    speeds = -30.0 * since - 8.0 * since**2 + rng.normal(0, 2.0, len(dates))
+    data = load_dataset(write(tmp_path / "star.csv", dates, speeds, errors))
+    report = close_loop(data, "nothing", rng=rng, n_bootstrap=0)
+    known = {c.name: c for c in report.constants}
+    assert set(known) == {"trend1", "bend1"}
+    trend, bend = known["trend1"], known["bend1"]
+    assert abs(trend.value + 30.0 / (1000 * DAY)) < 1.5 * (trend.high - trend.low)
+    assert abs(bend.value + 16.0 / (1000 * DAY) ** 2) < 1.5 * (bend.high - bend.low)
 
 
 def test_two_companions_each_of_which_hides_the_other(tmp_path, rng):

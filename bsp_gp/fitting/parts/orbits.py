@@ -100,7 +100,7 @@ class Trend(Numbered):
     Attributes
     ----------
     numbers : tuple of Parameter
-        The acceleration.
+        The acceleration at the epoch; where it changes as well, also by how much.
     epoch : float, s
     axis : int
     """
@@ -117,17 +117,18 @@ class Trend(Numbered):
 
     def added(self, times, values):
         """As that of an orbit."""
-        (name,) = self.names
-        return values[name] * (times - self.epoch), (times - self.epoch)[None]
+        powers = np.stack([(times - self.epoch) ** k / k for k in range(1, len(self.names) + 1)])
+        return np.tensordot([values[name] for name in self.names], powers, 1), powers
 
     def describe(self):
         """Formula-like."""
-        return f"{self.names[0]} t"
+        powers = zip(self.names, ("t", "t^2 / 2"), strict=False)
+        return " + ".join(f"{name} {power}" for name, power in powers)
 
     @property
     def latex(self):
         """Its velocity as LaTeX."""
-        return r"a\, t"
+        return " + ".join((r"a\, t", r"\dot{a}\, t^2 / 2")[: len(self.names)])
 
 
 def velocity_of(law):

@@ -68,13 +68,13 @@ class Orbits:
         A circle has three numbers, an ellipse five.
         """
         scan = self.scan_of(view)
-        trend = _trend(view, scan)
+        trends = tuple(_trends(view, scan))
         if not len(scan.rates):
-            return Family(self.name, (trend,), null=np.zeros(len(view.row_draws)))
+            return Family(self.name, trends, null=np.zeros(len(view.row_draws)))
         gains = scan.circles()
         rates = scan.peaks(gains[:, 0])
         found = scan.closer(rates[0]), scan.ellipse(scan.with_aliases(rates))
-        proposals = (trend, *(_proposal(view, scan, (orbit,)) for orbit in found))
+        proposals = (*trends, *(_proposal(view, scan, (orbit,)) for orbit in found))
         return _family(self.name, scan, proposals, gains.max(axis=0), 2)
 
 
@@ -415,13 +415,20 @@ def _numbers(law, scan, values):
     )  # fmt: skip
 
 
-def _trend(view, scan):
-    """A steady change, as far as the rows tell it to begin with."""
-    rows = scan.projected(np.where(scan.is_own, scan.times, 0.0)[None])[0]
-    size = float(rows @ rows)
-    slope = float(rows @ scan.targets[0]) / size if size > 0 else 0.0
-    widest = Prior("truncated_normal", mean=0.0, sd=scan.extent / scan.span)
-    (name,) = fresh_names(view.fit.law, ("trend",)).values()
-    number = Parameter(name, "", LENGTH / TIME, start=slope, prior=widest)
-    gain = float(_beside_noise(slope**2 * size, np.square(scan.targets[0]).sum()))
-    return _of_parts(view, "trend", [Trend((number,), scan.epoch, scan.axis)], gain)
+def _trends(view, scan):
+    """A steady change, and one that changes steadily itself, as far as the rows tell them."""
+    powers = np.stack([scan.times, scan.times**2 / 2])
+    rows = scan.projected(np.where(scan.is_own, powers, 0.0))
+    target, total = scan.targets[0], float(np.square(scan.targets[0]).sum())
+    widths = scan.extent / scan.span, 8 * scan.extent / scan.span**2
+    names = tuple(fresh_names(view.fit.law, ("trend", "bend")).values())
+    for code, n in (("trend", 1), ("bent_trend", 2)):
+        amounts = np.linalg.lstsq(rows[:n].T, target, rcond=1e-10)[0]
+        left = float(np.square(target - amounts @ rows[:n]).sum())
+        numbers = tuple(
+            Parameter(names[k], "", LENGTH / TIME ** (k + 1), start=float(amounts[k]),
+                      prior=Prior("truncated_normal", mean=0.0, sd=widths[k]))
+            for k in range(n)
+        )  # fmt: skip
+        trend = Trend(numbers, scan.epoch, scan.axis)
+        yield _of_parts(view, code, [trend], float(_beside_noise(total - left, total)))
