@@ -12,7 +12,7 @@ from pathlib import Path
 from bsp_gp.data import arrays, gps, molecules
 from bsp_gp.data.headings import is_run
 from bsp_gp.data.notes import listed
-from bsp_gp.data.preambles import HEADS, without_preamble
+from bsp_gp.data.preambles import has_preamble, without_preamble
 from bsp_gp.data.records import ENDINGS as RECORDS
 from bsp_gp.data.records import as_table
 from bsp_gp.data.words import n_known_words
@@ -33,7 +33,6 @@ _OWN_FORMATS = {
     ".phyphox": "an experiment of phyphox; there, choose Export Data > CSV",
     ".labx": "a file of CASSY Lab 2; there, choose File > Export as a text (.txt)",
     ".c3d": "a binary file of motion capture; export it there as .trc or CSV",
-    ".oem": "an orbit ephemeris message; write its rows as a table with the header t,x,y,z",
 }
 """What other programs keep for themselves, and how to get a table out of them."""
 _ENCODINGS = ("cp1252", "cp1250", "cp1251", "gb18030", "big5", "shift_jis", "euc_kr", "cp1253",
@@ -286,7 +285,7 @@ def _told_apart(source, names):
     source = _without_numbered_names(source, names)
     with source.open() as stream:
         head = stream.read(_BEGIN)
-        if not head.lstrip().startswith(HEADS):
+        if not has_preamble(head):
             return source
         text = head + stream.read()
     plain, notes = without_preamble(text, source.path)
@@ -317,7 +316,7 @@ def _without_numbered_names(source, names):
     return replace(source, text=text, counts=_counts(text), notes=(*source.notes, note))
 
 
-_BEGIN = 60
+_BEGIN = 600
 """Characters by which the files of programs are known."""
 _HEADER = 60
 """Lines among which the names of the columns are looked for."""

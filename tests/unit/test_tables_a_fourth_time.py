@@ -1,0 +1,119 @@
+"""Layouts of files that strangers have published: lines made up after them, a fourth time."""
+
+import numpy as np
+import pytest
+
+from bsp_gp import load_dataset
+from bsp_gp.errors import DataError
+from tests.text_tables import rows, written
+
+
+def observation(day, seconds, arcsec, *, end="F51", kind="C", name="06489J91J00X"):
+    """A line of 80 columns near 13 h 52 min, -7 degrees."""
+    ra, dec = f"13 52 {seconds:06.3f}", f"-07 06 {arcsec:05.2f}"
+    return f"{name}  {kind}1991 05 {day:09.6f}{ra:12}{dec:12}{'16.1 GV#00Bq':>21}{end}"
+
+
+def test_observations_of_the_minor_planet_center_are_places_on_the_sky(tmp_path):
+    lines = [observation(12 + k / 64, 10 + k, 49 - k, end=("F51", "C51")[k % 2]) for k in range(9)]
+    lines[1:1] = [observation(12.01, 0, 0, kind="X"),
+                  f"{lines[0][:14]}s1991 05 12.000000 1 - 1797.7 + 6042.7 - 2854.2{'250':>15}"]
+    comet = [observation(12 + k / 64, 10 - k / 4, 9, name="    CJ95O010") for k in range(9)]
+    data = load_dataset(written(tmp_path, ["COD F51", *lines, *comet], "made_up.txt"))
+    (scene,) = data.scenes
+    assert scene.names == ("6489", "CJ95O010")
+    assert scene.times[0] / 86400 == pytest.approx(2448388.5, abs=1e-9)  # 1991 May 12.0
+    assert np.diff(scene.times) == pytest.approx(86400 / 64, rel=1e-4)
+    moved = np.diff(scene.positions[:, 0], axis=0)
+    assert moved == pytest.approx(np.full((8, 2), [15 * np.cos(np.radians(7.1)), 1]), rel=1e-3)
+    assert data.steps == pytest.approx((0.015 * np.cos(np.radians(7.1)), 0.01), rel=1e-3)
+    assert any("observatories (F51 (14), C51 (4))" in note for note in data.notes)
+    assert any("2 line(s)" in note for note in data.notes)
+    far = [observation(12 + k, 10, 9).replace("13 52", f"{8 + k:02d} 52") for k in range(4)]
+    with pytest.raises(DataError, match="keep the rows of fewer nights"):
+        load_dataset(written(tmp_path, far, "far.txt"))
+
+
+def test_angles_in_several_columns_of_bytes_are_one(tmp_path):
+    head = [
+        "Title: Places of a Made-up Body", "=" * 80, "Byte-by-byte Description of file: t.txt",
+        "-" * 80, "   Bytes Format Units   Label  Explanations", "-" * 80,
+        "   1- 12 F12.4  d       JD     Julian Date", "  14- 15 I2     h       RAh    Hour",
+        "  17- 18 I2     min     RAm    Minute", "  20- 24 F5.2   s       RAs    Second",
+        "      26 A1     ---     DE-    Sign", "  27- 28 I2     deg     DEd    Degree",
+        "  30- 31 I2     arcmin  DEm    Minute", "  33- 36 F4.1   arcsec  DEs    Second", "-" * 80,
+    ]  # fmt: skip
+    body = [f"{2450000 + k:12.4f} 20 57 {10 + k:05.2f} -00 41 {9 + 2 * k:04.1f}" for k in range(9)]
+    data = load_dataset(written(tmp_path, [*head, *body], "t_mrt.txt"))
+    moved = np.diff(data.scenes[0].positions[:, 0], axis=0)
+    assert moved == pytest.approx(np.full((8, 2), [15, -2]), rel=1e-3)
+    assert data.steps == pytest.approx((0.15, 0.1), rel=1e-3)
+
+
+TURN = np.arange(13) * np.pi / 12
+CIRCLE = 7000 * np.cos(TURN), 7000 * np.sin(TURN), 0 * TURN
+
+
+def message(frame, centre="EARTH", form="2024-12-31T23:{:02d}:00.000"):
+    own = [f"{form.format(4 * k)} {x:.6f} {y:.6f} {z:.6f} 1.0 2.0 3.0"
+           for k, (x, y, z) in enumerate(zip(*CIRCLE, strict=True))]  # fmt: skip
+    return ["CCSDS_OEM_VERS = 2.0", "CREATION_DATE = 2025-01-01T00:00:00", "META_START",
+            "OBJECT_NAME          = MADE UP", f"CENTER_NAME          = {centre}",
+            f"REF_FRAME            = {frame}", "META_STOP", "COMMENT  a mass of 1 kg", *own,
+            "COVARIANCE_START", "EPOCH = 2024-12-31T23:00:00", "1.0", "1.0 2.0", "1.0 2.0 3.0",
+            "COVARIANCE_STOP"]  # fmt: skip
+
+
+@pytest.mark.parametrize("form", ["2024-12-31T23:{:02d}:00.000", "2024-366T23:{:02d}:00Z"])
+def test_orbit_ephemeris_messages_have_their_centre_at_the_origin(tmp_path, form):
+    data = load_dataset(written(tmp_path, message("EME2000", form=form), "a.oem"))
+    (scene,) = data.scenes
+    assert scene.names == ("Earth", "MADE UP")
+    assert np.diff(scene.times) == pytest.approx(240)
+    assert scene.positions[:, 1] == pytest.approx(1000 * np.transpose(CIRCLE), abs=1e-3)
+    assert not scene.positions[:, 0].any()
+    sun = load_dataset(written(tmp_path, message("ICRF", "SOLAR SYSTEM BARYCENTER"), "b.txt"))
+    assert sun.scenes[0].names == ("MADE UP",)
+
+
+@pytest.mark.parametrize("frame, is_turning", [("J2000", False), ("Fixed", True)])
+def test_ephemerides_of_stk_are_on_axes_that_keep_their_directions(tmp_path, frame, is_turning):
+    body = [f" {240 * k:.8e}  {x:.8e}  {y:.8e} {z:.8e} 1.0 2.0 3.0"
+            for k, (x, y, z) in enumerate(zip(*CIRCLE, strict=True))]  # fmt: skip
+    lines = ["stk.v.11.0", "", "# WrittenBy    STK_v11.3.0", "BEGIN Ephemeris",
+             "  NumberOfEphemerisPoints  13", "  CentralBody  Earth", "  DistanceUnit Kilometers",
+             f"  CoordinateSystem  {frame}", "  EphemerisTimePosVel", "", *body, "",
+             "END Ephemeris"]  # fmt: skip
+    data = load_dataset(written(tmp_path, lines, "made_up.e"))
+    (scene,) = data.scenes
+    assert scene.names == ("Earth", "made_up")
+    x, y, _ = scene.positions[-1, 1]
+    turned = 7.2921151467e-5 * 240 * 12 * is_turning
+    assert np.arctan2(-y, -x) == pytest.approx(turned, abs=1e-6)
+    assert any("turn with the Earth" in note for note in data.notes) == is_turning
+
+
+def test_elements_of_an_orbit_are_no_motion(tmp_path):
+    one = "1 43466U 98067NP  19148.08702609  .00015247  00000-0  15470-3 0  9997"
+    two = "2 43466  51.6373  84.0291 0002049  67.4964 292.6248 15.65439709 59539"
+    for lines in ([one, two], ["MADE UP", one, two]):
+        with pytest.raises(DataError, match=r"two-line elements.*t,x,y,z"):
+            load_dataset(written(tmp_path, lines, "a.txt"))
+
+
+def test_input_of_orbit_has_measures_of_a_double_star_and_velocities(tmp_path):
+    years = 1990 + 3 * np.arange(9)
+    head = ["Object:  made up", "RA:  10.29", "Parallax: 12.7   # in mas", "P  15.2", "*K1  00",
+            "C   CHISQ  Sig_V1", "C  1991.25  44.0  0.104  0.001  I1"]  # fmt: skip
+    places = rows(years, 40 * np.arange(9), ["0.1"] * 9, ["0.002"] * 9, ["I1"] * 9, mark="  ")
+    speeds = [f"{48000 + 90 * k}.5  {5 * np.cos(k):.2f}  0.4  V{'ab'[k % 2]} COR"
+              for k in range(30)]  # fmt: skip
+    path = written(tmp_path, [*head, *places, "C RV", *speeds], "m.inp")
+    data = load_dataset(path)
+    assert data.scenes[0].names == ("companion", "primary")
+    seen = np.isfinite(data.scenes[0].positions[:, 0, 0])
+    assert data.scenes[0].sigma[seen, 0] == pytest.approx(0.002)
+    assert any("(Vb) are not read: 15" in note for note in data.notes)
+    sight = load_dataset(path, columns={"rv": "RV (km/s)", "srv": "RV_err"})
+    assert sight.is_of_sight and len(sight.scenes[0].times) == 15
+    assert np.diff(sight.scenes[0].times) == pytest.approx(180 * 86400)
