@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bsp_gp import load_dataset
+from bsp_gp import load_dataset, save_dataset
 from bsp_gp.errors import DataError
 from tests.text_tables import rows, written
 
@@ -117,3 +117,84 @@ def test_input_of_orbit_has_measures_of_a_double_star_and_velocities(tmp_path):
     sight = load_dataset(path, columns={"rv": "RV (km/s)", "srv": "RV_err"})
     assert sight.is_of_sight and len(sight.scenes[0].times) == 15
     assert np.diff(sight.scenes[0].times) == pytest.approx(180 * 86400)
+
+
+WAVE = np.round(np.sin(np.arange(60) / 5), 4)
+SECONDS = np.round(0.05 + np.arange(60) / 100 + 1e-4 * WAVE, 6)
+
+
+@pytest.mark.parametrize(
+    "names, told",
+    [
+        ("AccelerationZ,AccelerationY,AccelerationX", "accelerations ('AccelerationZ')"),
+        ("gyroX,gyroY,gyroZ", "velocities ('gyroX')"),
+        ("velX,velY,velZ", "velocities ('velX', 'velY', 'velZ')"),
+    ],
+)
+def test_axes_that_are_joined_to_their_words_are_known(tmp_path, names, told):
+    body = rows(1729260574556450300 + np.arange(60), SECONDS, WAVE, [0.001] * 60, [0.002] * 60)
+    data = load_dataset(written(tmp_path, [f"Timestamp,seconds_elapsed,{names}", *body]))
+    assert any(f"places are sums of {told}" in note for note in data.notes)
+    assert np.diff(data.scenes[0].times)[5] == pytest.approx(0.01, rel=0.01)
+
+
+def test_of_dates_and_other_clocks_that_which_rises_in_every_row_is_the_time(tmp_path):
+    whole = [f"2024-10-17 16:06:{k // 10:02d}" for k in range(60)]
+    java = [f"Thu Oct 17 16:06:{k:02d} GMT+08:00 2024" for k in range(60)]
+    late = ["-"] * 9 + java[9:]
+    parts = [f"17-Oct-2024 16:06:{k:02d}" + ".5" * (k > 0) for k in range(60)]
+    for first, second, is_second, step in (
+        ("Date", "Timestamp", True, 0.1), ("GPS Time", "Device Time", True, 1),
+        ("Time", "State", False, 1),
+    ):  # fmt: skip
+        cells = {"Date": whole, "Timestamp": np.round(1.7e9 + np.arange(60) / 10, 1),
+                 "GPS Time": late, "Device Time": parts, "Time": java, "State": ["on"] * 60}
+        lines = [f"{first},{second},x,y", *rows(cells[first], cells[second], WAVE, WAVE)]
+        data = load_dataset(written(tmp_path, lines))
+        assert np.diff(data.scenes[0].times)[1:] == pytest.approx(step, abs=1e-5)
+        assert any(f"{second!r} as t" in note for note in data.notes) == is_second
+
+
+def test_places_in_logs_of_drones_are_those_that_change(tmp_path):
+    names = "APP.latitude,APP.longitude,OSD.latitude,OSD.longitude,OSD.height [m],CUSTOM.updateTime"
+    clock = [f"2018/07/04 09:19:{k:02d}.701" for k in range(30)]
+    k = np.arange(30)
+    body = rows([55.5] * 30, [10.7] * 30, 55.5 + k / 1e5, 10.7 - k**2 / 1e6, k / 10, clock)
+    data = load_dataset(written(tmp_path, [names, *body]))
+    assert all(text in data.provenance["columns"]
+               for text in ("t = 'CUSTOM.updateTime'", "x = 'OSD.longitude'"))  # fmt: skip
+    assert np.diff(data.scenes[0].positions[:, 0, 1]) == pytest.approx(1.113, abs=0.01)
+
+
+def test_ways_to_the_east_and_the_north_have_heights_above_them(tmp_path):
+    for names in ("Position East of launch (m),Position North of launch (m),Altitude (m)",
+                  "Easting (m),Northing (m),Height (m)", "East (m),North (m),Up (m)"):
+        body = rows(SECONDS, WAVE, 2 * WAVE, np.arange(60))
+        body.insert(3, "# Event LIFTOFF occurred at t=0.05 seconds")
+        data = load_dataset(written(tmp_path, [f"Time (s),{names}", *body]))
+        assert data.scenes[0].positions[:, 0] == pytest.approx(
+            np.stack([WAVE, 2 * WAVE, np.arange(60)], axis=1)
+        )
+
+
+def test_a_title_above_a_row_of_units_is_no_body(tmp_path):
+    body = rows(SECONDS, WAVE, WAVE, mark="\t")
+    head = ["Made-up pointings", "t\tx\ty", "(s)\t(m)\t(m)"]
+    assert load_dataset(written(tmp_path, [*head, *body])).scenes[0].names == ("object",)
+    tracker = load_dataset(written(tmp_path, ["puck", "t\tx\ty", *body]))
+    assert tracker.scenes[0].names == ("puck",)
+
+
+def test_velocities_by_their_numbers_have_a_unit_that_is_told(tmp_path):
+    path = written(tmp_path, rows(2450000.5 + 7 * np.arange(60) ** 1.1, WAVE, [0.3] * 60, mark=" "))
+    notes = load_dataset(path, columns={"t": "1", "rv": "2", "srv": "3"}).notes
+    assert any(note.startswith("check: '2' has no unit: m/s is taken") for note in notes)
+    assert "'3' is taken as its error" in notes
+
+
+def test_a_saved_table_of_the_sky_keeps_the_steps_of_its_digits(tmp_path):
+    ra = [f"20 57 {10 + k / 50:05.2f}" for k in range(60)]
+    lines = ["t (day),ra,dec", *rows(np.arange(60), ra, [f"-00 41 {k:04.1f}" for k in range(60)])]
+    data = load_dataset(written(tmp_path, lines))
+    again = load_dataset(save_dataset(data, tmp_path / "saved"))
+    assert again.steps == data.steps != ()
