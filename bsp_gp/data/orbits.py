@@ -25,7 +25,7 @@ _TURN = 7.2921151467e-5
 _TURNING = re.compile(r"(?i)fixed|ITRF.*|TDR|GRC|WGS.*|ECEF|EFG")
 """Axes that turn with the body from which places count."""
 _MESSAGE = re.compile(
-    r"\s*(?:(\w+)\s*=\s*(\S.*?)|(\d{4}-[\d-]+T[\d:.]+)Z?((?:\s+[-+.\dEe]+){3,9}))\s*"
+    r"\s*(?:(\w+)\s*=\s*(\S.*?)|(\d{4}-[\d-]+T[\d:]+(?:\.\d{1,6})?)\d*Z?((?:\s+[-+.\dEe]+){3,9}))\s*"
 )
 """A line of a message: what it says of what, or a date and numbers."""
 _STK = re.compile(r"^\s*(CentralBody|CoordinateSystem|DistanceUnit)\s+(\S.*?)\s*$", re.M)

@@ -282,9 +282,7 @@ def _machine_readable(text, path):
     rules = [k for k, line in enumerate(lines) if len(line) > 40 and not line.strip("-= ")]
     top, end = [k for k in rules if k > heads[0]][1], rules[-1]
     told = [_CDS_COLUMN.fullmatch(line) for line in lines[top + 1 : end]]
-    columns = _joined_angles(
-        [(int(m[1] or m[2]) - 1, int(m[2]), *m.group(3, 4, 5)) for m in told if m]
-    )
+    columns = [(int(m[1] or m[2]) - 1, int(m[2]), *m.group(3, 4, 5)) for m in told if m]
     header = [label if unit == "---" else f"{label} ({unit})" for _, _, unit, label, _ in columns]
     out, shifted = ["" for _ in lines], []
     out[end] = "\t".join(header)
@@ -298,18 +296,6 @@ def _machine_readable(text, path):
         out[k] = "\t".join("" if c == n else c for c, n in zip(cells, nones, strict=True))
     note = f"{len(shifted)} row(s) have lost blanks at their beginning: {listed(shifted, 8)}"
     return "\n".join(out) + "\n", (note,) * bool(shifted)
-
-
-def _joined_angles(columns):
-    """Columns with one of all bytes of ``RAh, RAm, RAs``, and of ``DE-, DEd, DEm, DEs``."""
-    labels = [label for *_, label, _ in columns]
-    for parts, name in ((["RAh", "RAm", "RAs"], "ra"), (["DE-", "DEd", "DEm", "DEs"], "dec")):
-        for k in range(len(labels) - len(parts), -1, -1):
-            if labels[k : k + len(parts)] == parts:
-                last = k + len(parts)
-                columns[k:last] = [(columns[k][0], columns[last - 1][1], "---", name, None)]
-                labels[k:last] = [name]
-    return columns
 
 
 def _fits(line, columns):

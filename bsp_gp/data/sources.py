@@ -167,7 +167,7 @@ def open_source(path, names=()):
         return _made(Source(path, digest, {}), *arrays.as_table(path))
     if is_zip(path):
         return _workbook(path) if is_book(path) else _of_archive(path, names)
-    source = _text_file(path, names)
+    source = _with_joined_angles(_text_file(path, names))
     if path.suffix.lower() in gps.ENDINGS:
         with source.open() as stream:
             return _made(source, *gps.of_xml(stream.read(), path))
@@ -314,6 +314,35 @@ def _without_numbered_names(source, names):
         text = stream.read().removeprefix(first)
     note = "line 1 (Column1, Column2 ...) is of a spreadsheet, and names nothing"
     return replace(source, text=text, counts=_counts(text), notes=(*source.notes, note))
+
+
+_ANGLES = {("RAh", "RAm", "RAs"): "ra", ("DE-", "DEd", "DEm", "DEs"): "dec"}
+"""Columns of one angle side by side, as tables of the CDS have them."""
+
+
+def _with_joined_angles(source):
+    """The source with one column in the place of those that are one angle, and a note."""
+    head, parts = source.head(_HEADER), next(iter(_ANGLES))
+    number = next((k for k, line in enumerate(head) if _cells_of(_bare(line)) >= {*parts}), None)
+    if number is None:
+        return source
+    mark = max("\t,;", key=head[number].count)
+    with source.open(newline="") as stream:
+        rows = [*csv.reader(stream, delimiter=mark)]
+    for parts, name in _ANGLES.items():
+        names, n = [_bare(cell).strip() for cell in rows[number]], len(parts)
+        k = next((k for k in range(len(names)) if tuple(names[k : k + n]) == parts), None)
+        for row in rows[number:] if k is not None else ():
+            signed = ["".join(row[k : k + n - 2]).strip(), *row[k + n - 2 : k + n]]
+            row[k : k + n] = [" ".join(signed).strip() if row is not rows[number] else name]
+    out = io.StringIO()
+    csv.writer(out, delimiter=mark, lineterminator="\n").writerows(rows)
+    return _made(source, out.getvalue(), (f"columns such as {', '.join(parts)} are one angle",))
+
+
+def _bare(text):
+    """A text without what stands in round brackets."""
+    return re.sub(r"\s*\([^()]*\)", "", text)
 
 
 _BEGIN = 600

@@ -34,16 +34,24 @@ def test_observations_of_the_minor_planet_center_are_places_on_the_sky(tmp_path)
         load_dataset(written(tmp_path, far, "far.txt"))
 
 
-def test_angles_in_several_columns_of_bytes_are_one(tmp_path):
+@pytest.mark.parametrize("form", ["bytes", "astropy", "VizieR"])
+def test_angles_in_several_columns_are_one(tmp_path, form):
     head = [
         "Title: Places of a Made-up Body", "=" * 80, "Byte-by-byte Description of file: t.txt",
         "-" * 80, "   Bytes Format Units   Label  Explanations", "-" * 80,
-        "   1- 12 F12.4  d       JD     Julian Date", "  14- 15 I2     h       RAh    Hour",
+        "   1- 12 F12.4  d       JD     Date", "  14- 15 I2     h       RAh    Hour",
         "  17- 18 I2     min     RAm    Minute", "  20- 24 F5.2   s       RAs    Second",
         "      26 A1     ---     DE-    Sign", "  27- 28 I2     deg     DEd    Degree",
         "  30- 31 I2     arcmin  DEm    Minute", "  33- 36 F4.1   arcsec  DEs    Second", "-" * 80,
     ]  # fmt: skip
     body = [f"{2450000 + k:12.4f} 20 57 {10 + k:05.2f} -00 41 {9 + 2 * k:04.1f}" for k in range(9)]
+    if form != "bytes":
+        mark = "," if form == "astropy" else "\t"
+        names = [line.split()[-2] for line in head[6:14]]
+        units = [line.split()[-3].replace("---", "") for line in head[6:14]]
+        below = [mark.join(units), mark.join(["----"] * 8)] if form == "VizieR" else []
+        body = [mark.join(line.replace("-00", "- 0").split()) for line in body]
+        head = ["#made up"] * (form == "VizieR") + [mark.join(names), *below]
     data = load_dataset(written(tmp_path, [*head, *body], "t_mrt.txt"))
     moved = np.diff(data.scenes[0].positions[:, 0], axis=0)
     assert moved == pytest.approx(np.full((8, 2), [15, -2]), rel=1e-3)
@@ -183,6 +191,14 @@ def test_a_title_above_a_row_of_units_is_no_body(tmp_path):
     assert load_dataset(written(tmp_path, [*head, *body])).scenes[0].names == ("object",)
     tracker = load_dataset(written(tmp_path, ["puck", "t\tx\ty", *body]))
     assert tracker.scenes[0].names == ("puck",)
+
+
+def test_the_only_column_of_lengths_is_proposed_as_the_place(tmp_path):
+    path = written(tmp_path, ["t (s),hauteur de chute (m)", *rows(SECONDS, WAVE)])
+    with pytest.raises(DataError) as caught:
+        load_dataset(path)
+    assert '--columns x="hauteur de chute (m)"' in caught.value.remedy
+    assert load_dataset(path, columns={"x": "hauteur de chute (m)"}).up is None
 
 
 def test_velocities_by_their_numbers_have_a_unit_that_is_told(tmp_path):
