@@ -29,6 +29,9 @@ def test_observations_of_the_minor_planet_center_are_places_on_the_sky(tmp_path)
     assert data.steps == pytest.approx((0.015 * np.cos(np.radians(7.1)), 0.01), rel=1e-3)
     assert any("observatories (F51 (14), C51 (4))" in note for note in data.notes)
     assert any("2 line(s)" in note for note in data.notes)
+    lines.append(observation(12 + 8 / 64, 18.02, 41.1, end="250"))  # from elsewhere, at once
+    both = load_dataset(written(tmp_path, lines, "both.txt"))
+    assert both.scenes[0].times == pytest.approx(scene.times)
     far = [observation(12 + k, 10, 9).replace("13 52", f"{8 + k:02d} 52") for k in range(4)]
     with pytest.raises(DataError, match="keep the rows of fewer nights"):
         load_dataset(written(tmp_path, far, "far.txt"))
