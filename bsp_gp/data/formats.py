@@ -336,8 +336,8 @@ def _title(layout, head):
     Below that of a body, which Tracker writes, no row of units stands.
     """
     cells = [cell for cell in layout.title_cells if cell]
-    is_body = layout.header_line == 1 and layout.data_line == 2 or any(map(run_of, cells))
-    is_second = is_body or head[0].startswith("Vernier Format")
+    is_named = layout.data_line == 2 or any(map(run_of, cells))
+    is_second = (layout.header_line == 1 and is_named) or head[0].startswith("Vernier Format")
     if len(cells) != 1 or not is_second:
         return ""
     title = cells[0] if run_of(cells[0]) else re.sub(r"^#?\s*(?:name:)?\s*", "", cells[0])

@@ -248,7 +248,7 @@ def _orbit_input(text, path):
         cells = line.split()
         if len(cells) > 4 and cells[4].startswith("I") and all(map(_is_number, cells[:4])):
             year, angle, far, error = cells[:4]
-            turn = repr(math.degrees(float(error) / float(far)))
+            turn = repr(math.degrees(math.atan2(float(error), float(far))))
             rows.append([year, angle, turn, far, error, "", ""])
         elif len(cells) > 3 and cells[3] == "Va" and all(map(_is_number, cells[:3])):
             year = repr(2000 + (float(cells[0]) - 51545) / 365.25)

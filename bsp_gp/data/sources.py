@@ -323,7 +323,8 @@ _ANGLES = {("RAh", "RAm", "RAs"): "ra", ("DE-", "DEd", "DEm", "DEs"): "dec"}
 def _with_joined_angles(source):
     """The source with one column in the place of those that are one angle, and a note."""
     head, parts = source.head(_HEADER), next(iter(_ANGLES))
-    number = next((k for k, line in enumerate(head) if _cells_of(_bare(line)) >= {*parts}), None)
+    told = (k for k, line in enumerate(head) if parts[0] in line)  # a few, if any
+    number = next((k for k in told if _cells_of(_bare(head[k])) >= {*parts}), None)
     if number is None:
         return source
     mark = max("\t,;", key=head[number].count)
@@ -345,7 +346,7 @@ def _bare(text):
     return re.sub(r"\s*\([^()]*\)", "", text)
 
 
-_BEGIN = 600
+_BEGIN = 2000
 """Characters by which the files of programs are known."""
 _HEADER = 60
 """Lines among which the names of the columns are looked for."""
