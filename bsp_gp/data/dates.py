@@ -11,23 +11,23 @@ _FORMATS = (
     (re.compile(r"\d{4}/\d\d/\d\d"), "%Y/%m/%d"),
     (re.compile(r"\d{4}/\d\d/\d\d \d\d:\d\d:\d\d"), "%Y/%m/%d %H:%M:%S"),
     (re.compile(r"\d{1,2} [A-Za-z]{3} \d{4} \d\d:\d\d:\d\d"), "%d %b %Y %H:%M:%S"),
-    (re.compile(r"\d{1,2} [A-Za-z]{3} \d{4} \d\d:\d\d:\d\d\.\d+"), "%d %b %Y %H:%M:%S.%f"),
     (re.compile(r"\d{1,2}-[A-Za-z]{3}-\d{4} \d\d:\d\d:\d\d"), "%d-%b-%Y %H:%M:%S"),
-    (re.compile(r"\d{1,2}-[A-Za-z]{3}-\d{4} \d\d:\d\d:\d\d\.\d+"), "%d-%b-%Y %H:%M:%S.%f"),
     (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2}"), "%Y-%b-%d"),
     (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2} \d\d:\d\d"), "%Y-%b-%d %H:%M"),
     (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2} \d\d:\d\d:\d\d"), "%Y-%b-%d %H:%M:%S"),
-    (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2} \d\d:\d\d:\d\d\.\d+"), "%Y-%b-%d %H:%M:%S.%f"),
     (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4}"), "%d.%m.%Y"),
     (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d"), "%d.%m.%Y %H:%M"),
     (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d:\d\d"), "%d.%m.%Y %H:%M:%S"),
-    (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d:\d\d[.,]\d+"), "%d.%m.%Y %H:%M:%S.%f"),
 )
 """Ways of writing a date in which day and month cannot be mistaken for each other."""
+_PARTS = r"(?<=:\d\d)[.,]\d+$"
+"""Of a second, at the end of a date."""
 _TURNED = re.compile(r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d\d:\d\d(\.\d+)?")
 """A date in which day and month may be mistaken for each other, which matters where it changes."""
 _ERA = r"^(?:A\.?D\.?|C\.?E\.?)\s+(?=\d)"
 """Before a year of ours: ``A.D. 2025-Jul-01 00:00:00.0000``, as Horizons writes it."""
+_OF_JAVA = r"^[A-Z][a-z]{2} ([A-Z][a-z]{2}) +(\d{1,2}) (\d\d:\d\d:\d\d)(?: ([A-Z]\S*))? (\d{4})$"
+"""``Wed Feb 23 06:37:13 GMT+08:00 2022``, of Java, and of C without a zone."""
 _CLOCK = re.compile(r"(\d{1,3}):(\d\d):(\d\d(?:[.,]\d+)?)")
 _MINUTES = re.compile(r"(\d{1,3}):(\d\d[.,]\d+)")
 """``38:05.6``, as spreadsheets show a time of the day with parts of a second; ``12:30`` is none."""
@@ -90,9 +90,15 @@ def seconds_of(cells):
             known = _either_way(known)
             if known is None:
                 return None
-        form = next((f for regex, f in _FORMATS if known.str.fullmatch(regex.pattern).all()), None)
+        of_java = known.str.extract(_OF_JAVA)
+        if of_java[3].nunique() < 2:  # another zone may be that of the summer
+            known = known.str.replace(_OF_JAVA, r"\2 \1 \5 \3", regex=True)
+        whole = known.str.replace(_PARTS, "", regex=True)
+        form = next((f for regex, f in _FORMATS if whole.str.fullmatch(regex.pattern).all()), None)
         if form is None:
             return None
+        if form.endswith("%S") and (whole != known).any():  # full seconds may have no parts
+            known, form = known.where(whole != known, known + ".0"), f"{form}.%f"
         try:
             known = pd.to_datetime(known.str.replace(",", "."), format=form, utc=True)
         except (ValueError, OverflowError):

@@ -20,7 +20,7 @@ PROVENANCE_KEYS = (
     "version", "contact",
 )  # fmt: skip
 TOP_KEYS = (
-    "name", *PROVENANCE_KEYS, "dt", "fps", "noise", "noise_memory",
+    "name", *PROVENANCE_KEYS, "dt", "fps", "noise", "noise_memory", "steps",
     "units", "axes", "columns", "initial", "latent", "sky", "split", "evaluation", "provenance",
 )  # fmt: skip
 SKY = ("distance", "parallax")
@@ -47,7 +47,7 @@ class Declaration:
         Kind or column -> unit.
     angle_from, angle_turns : str or None
         Axis on which an angle is 0, and how it turns, see `polar.from_polar`; None if unsaid.
-    up, dt, fps, noise, noise_memory, velocity
+    up, dt, fps, noise, noise_memory, steps, velocity
         As in `bsp_gp.data.scene.Dataset`; times and lengths in the data's own units. Noise may be
         a mapping of bodies, or of globs of them, to their own.
     columns : mapping of str to str
@@ -76,6 +76,7 @@ class Declaration:
     fps: float | None = None
     noise: tuple[float, ...] | Mapping | None = None
     noise_memory: float | None = None
+    steps: tuple[float, ...] = ()
     velocity: str = "ignore"
     columns: Mapping = field(default_factory=dict)
     properties: Mapping = field(default_factory=dict)
@@ -284,6 +285,7 @@ class _Reader:
             fps=self.positive(self.content, "fps"),
             noise=self.noise(),
             noise_memory=self.noise_memory(),
+            steps=self.levels(self.content["steps"], "steps") if "steps" in self.content else (),
             velocity=velocity,
             columns=_our_keys(columns),
             sky=self.texts(self.table("sky", SKY), "sky"),

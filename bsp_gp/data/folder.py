@@ -186,6 +186,7 @@ def _declaration(dataset):
         "name": dataset.name,
         "noise": None if noise is None else noise[0] if len(noise) == 1 else list(noise),
         "noise_memory": dataset.noise_memory,
+        "steps": list(dataset.steps) or None,
         "units": _units(dataset),
         "axes": {"up": dataset.up},
         "columns": {"velocity": dataset.velocity},

@@ -9,9 +9,11 @@ import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from bsp_gp.data.cells import plain_cell
+from bsp_gp.data.conversion import unit_of
 from bsp_gp.data.dates import seconds_of
 from bsp_gp.data.headings import (
     GUESS,
@@ -24,6 +26,7 @@ from bsp_gp.data.headings import (
     is_height,
     is_id,
     is_run_column,
+    is_time_name,
     number_columns,
     run_of,
     told,
@@ -36,11 +39,13 @@ from bsp_gp.data.steps import with_even_clocks, with_sums_of_steps
 from bsp_gp.data.untimed import COUNTED, IN_TURN, rows_as_frames, with_bodies_in_turn
 from bsp_gp.data.wide import as_recordings, groups_of, stack
 from bsp_gp.errors import DataError
+from bsp_gp.units import Unit
 
 _NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "-", "–", "--", "---"]
 _NO_NUMBER = [*_NAN, "X", "x", "?", "*", "na", "n/a", "n.a.", "#N/A", "NULL", "None", "none"]
 """What stands for no value where a number is expected."""
 _HEAD_LINES = 60
+_TIME = Unit.of(s=1)
 _BY_NUMBER = ", or say which column is which by its number: --columns t=1 x=2"
 
 
@@ -177,6 +182,7 @@ def long_table(
     found, groups = _without_wrong_errors(frame, found, groups)
     dated, frames, untimed = False, None, ""
     if not as_text:
+        found = found if groups else _with_rising_clock(frame, found)
         frame, found, steps = with_sums_of_steps(frame, found)
         frame, dates, dated = _without_dates(frame, [h.name for h in found])
         notes = (*notes, *steps, *dates)
@@ -246,6 +252,37 @@ def _without_wrong_errors(frame, found, groups):
     )
 
 
+def _with_rising_clock(frame, found):
+    """Headings where the time is one of several that may be it: dates, or what has a unit of it.
+
+    What rises in every row comes first, then what tells its unit, then what has the most values.
+    Dates under a plain name stay the time unless they repeat, or lack in rows.
+    """
+    own = [k for k, h in enumerate(found) if h.name in ("t", "frame")]
+    free = [k for k, h in enumerate(found) if h.sure == UNKNOWN and not h.ignored]
+    is_text = [frame[k].dtype.kind not in "fiub" for k in range(len(found))]
+    named = own or [k for k in free if is_time_name(found[k].name)]
+    is_settled = any(found[k].is_renamed or not is_text[k] or _rise(frame[k]) > 0 for k in own)
+    if is_settled or not named or {"entity", "scene"} & {h.name for h in found}:
+        return found
+    able = {k for k in free if is_text[k] or unit_of(found[k].unit) == _TIME} | {*named} - {*own}
+    rises = {k: rise for k in able if (rise := _rise(frame[k])) >= (1 if own else 0)}
+    if not rises:
+        return found
+    best = min(rises, key=lambda k: (-rises[k], not found[k].unit, -frame[k].nunique()))
+    found = [replace(h, name=h.stem or h.theirs, sure=UNKNOWN) if k in own else h
+             for k, h in enumerate(found)]  # fmt: skip
+    return [replace(h, name="t", sure=GUESS) if k == best else h for k, h in enumerate(found)]
+
+
+def _rise(cells):
+    """Whether numbers, or dates, are in all rows and go up: 1 in each, 0 if never down, else -1."""
+    read = None if cells.dtype.kind in "fiu" else seconds_of(cells)
+    values = pd.to_numeric(cells, errors="coerce").to_numpy(float) if read is None else read[0]
+    steps = np.diff(values)
+    return 1 if (steps > 0).all() else 0 if (steps >= 0).all() and steps.any() else -1
+
+
 def _with_bodies(frame, found):
     """Where rows share their times, the column that tells them apart is that of bodies."""
     clock = "t" if "t" in frame.columns else "frame"
@@ -294,9 +331,13 @@ def _place(heading):
 
 
 def _title(layout, head):
-    """The single title line above the header, without what programs put before the name."""
+    """The single title line above the header, without what programs put before the name.
+
+    Below that of a body, which Tracker writes, no row of units stands.
+    """
     cells = [cell for cell in layout.title_cells if cell]
-    is_second = layout.header_line == 1 or head[0].startswith("Vernier Format")
+    is_named = layout.data_line == 2 or any(map(run_of, cells))
+    is_second = (layout.header_line == 1 and is_named) or head[0].startswith("Vernier Format")
     if len(cells) != 1 or not is_second:
         return ""
     title = cells[0] if run_of(cells[0]) else re.sub(r"^#?\s*(?:name:)?\s*", "", cells[0])

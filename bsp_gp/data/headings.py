@@ -84,7 +84,9 @@ _BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECAS
 _TIME_WORDS, _PLACE_WORDS = words_for("time"), words_for("place")
 _AXIS_WORDS = words_for("axis")
 """Beside a symbol: ``x-Richtung``."""
-_MAP_WORDS = word_set("northing hochwert")
+_MAP_WORDS = word_set("north northing hochwert")
+_FROM_WHERE = re.compile(r"\s+(?:of|from)\s+(?:the\s+)?(?:launch|start|origin|home)\b.*", re.I)
+"""``Position East of launch``."""
 _UPRIGHT_WORDS = words_for("upright")
 RADIAL_NAMES = word_set("rv mnvel radvel rvel vrad")
 """Of velocities along the line of sight."""
@@ -177,6 +179,7 @@ _WITH_ITS_UNIT = {"mass": word_set("m weight gewicht poids peso"), "charge": wor
 """Words that mean that property where a unit of it stands beside them."""
 _OF_LOGGERS = word_set(
     "filtered smoothed agl msl asl baro barometric gps gnss estimated est approx aprox"
+    " update device"
 )
 """Words beside those of a place or a time that change nothing."""
 _OF_VEHICLES = word_set("lat latitude lon lng long longitude roll yaw heading")
@@ -271,6 +274,11 @@ def number_columns(names):
 def is_frame_name(text):
     """Whether a heading speaks of numbers of frames."""
     return _guess(text) == "frame"
+
+
+def is_time_name(text):
+    """Whether a heading may be that of a clock."""
+    return _guess(text) == "t" or text.lower() in _CLOCK_UNITS
 
 
 def is_run_column(text):
@@ -391,7 +399,7 @@ def is_count(text):
 
 def words_of(text):
     """The words of a heading, folded, a set of str."""
-    return {word.rstrip(".") for word in re.split(r"[\s_\-()\[\]/]+", apart(folded(text)))}
+    return {word.rstrip(".") for word in re.split(r"[\s_\-()\[\]/]+", folded(apart(text)))}
 
 
 def has_place(found):
@@ -424,6 +432,7 @@ def headings(cells, rename=None, *, is_track=True):
         found = _with_counted_places(_with_angles(found))
         found = _with_dates(found)
         found = _without_courses([_guessed(h, {f.name for f in found}) for h in found])
+        found = _above_maps(found)
         found = _with_far_on_sky(found)
         found = _with_errors(_with_clock(found))
     return tuple(_settled(_with_one_unit(found) if is_track else found))
@@ -462,6 +471,18 @@ def _without_courses(found):
         if h.name in TEXT_COLUMNS and not h.is_renamed and folded(h.stem) in _COURSES else h
         for h in found
     ]
+
+
+def _above_maps(found):
+    """Beside a way to the north heights are z."""
+    is_map = [h.name == "y" and bool(words_of(h.theirs) & _MAP_WORDS) for h in found]
+    if not any(is_map) or any(h.name == "z" for h in found):
+        return found
+    return [
+        replace(h, name="z", sure=GUESS)
+        if (is_height(h) and not north) or (h.sure == UNKNOWN and words_of(h.name) == {"up"}) else h
+        for h, north in zip(found, is_map, strict=True)
+    ]  # fmt: skip
 
 
 def _as_said(found):
@@ -626,7 +647,7 @@ def _our_name(name):
     lower = name.lower()
     if lower in NUMBER_COLUMNS + TEXT_COLUMNS:
         return lower, LITERAL
-    words = re.split(r"[\s_.-]+", apart(folded(name)))
+    words = re.split(r"[\s_.-]+", folded(apart(name)))
     symbols = [word for word in words if word in ("t", "x", "y", "z")]
     about = {word for word in words if word not in symbols}
     is_time = about <= _TIME_WORDS or (symbols == ["t"] and about <= _PLACE_WORDS)
@@ -645,11 +666,13 @@ def _our_name(name):
 
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
-    words = {word for word in words_of(_last_of(name)) - {""} if not _INPUT.fullmatch(word)}
+    name = _FROM_WHERE.sub("", _last_of(name))
+    words = {word for word in words_of(name) - {""} if not _INPUT.fullmatch(word)}
     if any(len(word) > 1 for word in words - _OF_LOGGERS):
         words -= _OF_LOGGERS
-    if words & _UPRIGHT_WORDS and words - _UPRIGHT_WORDS <= _PLACE_WORDS:
-        return "y"
+    for ours, known in (("y", _UPRIGHT_WORDS | _MAP_WORDS), ("x", {"east"})):
+        if words & known and words - known <= _PLACE_WORDS:
+            return ours
     for ours, known in _GUESSES.items():
         counted = words - _COUNT_WORDS if ours in ("scene", "entity", "frame") else words
         if counted and counted <= known:
@@ -658,8 +681,8 @@ def _guess(name):
 
 
 def _last_of(name):
-    """What a path of names ends with: ``altitude`` of ``gps_data.altitude``."""
-    return name.rpartition(".")[2] if _PATH.fullmatch(name) else name
+    """What a path of names ends with: ``update Time`` of ``CUSTOM.updateTime``."""
+    return _CAMEL.sub(r"\1 \2", name.rpartition(".")[2]) if _PATH.fullmatch(name) else name
 
 
 def _turned(found):

@@ -105,14 +105,17 @@ def _is_way_gone(table, declaration):
 
 
 def _of(table, words):
-    """The column that is called so, that of satellites before others; "" where there is none."""
+    """The column that is called so; "" where there is none.
+
+    That of satellites is before others, and what has the most values before what has few.
+    """
     found = []
     said = {name: name for name in map(str, table.frame.columns) if name in table.renamed}
     for name, heading in {**table.unused, **said}.items():
         own = plain_words(re.sub(r"^.*\w{3}\.(?=\w{3})", "", heading))  # a path of names
         if name in table.frame and own & words and own <= words | _WITH:
-            found.append((not own & {"gps", "gnss"}, name))
-    return min(found)[1] if found else ""
+            found.append((not own & {"gps", "gnss"}, -table.frame[name].nunique(), name))
+    return min(found)[2] if found else ""
 
 
 def _theirs(table, name):

@@ -4,18 +4,20 @@ Layouts are those of the programs' own documentation: the TRC files of Motion An
 the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
 loggers, the enhanced CSV of Astropy, machine-readable tables of the AAS and the CDS, LabVIEW's
 measurement files, the texts of Leybold's CASSY Lab, measures of double stars as the US Naval
-Observatory mails them, sentences of NMEA 0183 (`bsp_gp.data.gps`), orbits in SP3
-(`bsp_gp.data.sp3`), and tables of JPL Horizons (`bsp_gp.data.horizons`).
+Observatory mails them and Tokovinin's ORBIT takes them, sentences of NMEA 0183 (`bsp_gp.data.gps`),
+orbits of satellites (`bsp_gp.data.orbits`), observations of the Minor Planet Center
+(`bsp_gp.data.minor_planets`), and tables of JPL Horizons (`bsp_gp.data.horizons`).
 """
 
 import csv
+import math
 import re
 
 from bsp_gp.data.gps import NMEA, of_nmea
 from bsp_gp.data.horizons import plain_horizons
+from bsp_gp.data.minor_planets import OF_OBSERVATIONS, of_observations
 from bsp_gp.data.notes import listed
-from bsp_gp.data.sp3 import HEADS as OF_SP3
-from bsp_gp.data.sp3 import of_sp3
+from bsp_gp.data.orbits import OF_ELEMENTS, OF_SP3, elements, of_message, of_sp3, of_stk
 from bsp_gp.errors import DataError
 
 _AXES = ("X", "Y", "Z")
@@ -204,13 +206,6 @@ def _cassy(text, path):
     return f"{header}\n{text[found.end() :].lstrip()}"
 
 
-def _ephemeris_message(text, path):
-    raise DataError(
-        "an orbit ephemeris message (CCSDS OEM) is not read", file=path,
-        remedy="write its rows (epoch, X, Y, Z in km) as a table with the header t,x,y,z",
-    )  # fmt: skip
-
-
 _MEASURE = (slice(7, 18), slice(18, 26), slice(26, 33), slice(33, 44), slice(44, 53))
 """Where a line of the Washington catalogue has date, angle, its error, separation, its error."""
 _MEASURED = ("Besselian epoch", "theta (deg)", "theta_err", "rho (arcsec)", "rho_err")
@@ -239,6 +234,32 @@ def _washington(text, path):
     listed = ", ".join(map(str, limits[:8])) + (" ..." if len(limits) > 8 else "")
     note = f"in {len(limits)} row(s) limits, or numbers with a mark, are no values: line"
     return "\n".join(out) + "\n", (f"{note} {listed}",) if limits else ()
+
+
+def _orbit_input(text, path):
+    """Measures of a double star in the input of Tokovinin's ORBIT, below elements and settings.
+
+    What is measured of angle and separation has one error, in the unit of the separation. Lines
+    that begin with C are comments. Velocities are beside them, dates of which count from JD
+    2400000; of the secondary they are left out.
+    """
+    rows, others = [["epoch (yr)", *_MEASURED[1:], "RV (km/s)", "RV_err"]], 0
+    for line in text.splitlines():
+        cells = line.split()
+        if len(cells) > 4 and cells[4].startswith("I") and all(map(_is_number, cells[:4])):
+            year, angle, far, error = cells[:4]
+            turn = repr(math.degrees(math.atan2(float(error), float(far))))
+            rows.append([year, angle, turn, far, error, "", ""])
+        elif len(cells) > 3 and cells[3] == "Va" and all(map(_is_number, cells[:3])):
+            year = repr(2000 + (float(cells[0]) - 51545) / 365.25)
+            rows.append([year, "", "", "", "", *cells[1:3]])
+        others += cells[3:4] == ["Vb"]
+    if len(rows) == 1:
+        return text
+    kept = [k for k in range(7) if any(row[k] for row in rows[1:])]
+    note = f"velocities of the secondary (Vb) are not read: {others}"
+    table = ["\t".join(row[k] for k in kept) for row in rows]
+    return "\n".join(table) + "\n", (note,) * bool(others)
 
 
 _CDS_BEGINS = "Byte-by-byte Description"
@@ -307,28 +328,43 @@ def _ecsv(text, path):
 _KNOWN = {
     "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
     "NO_OF_FRAMES": _qualisys, "FILE_VERSION": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy,
-    "CCSDS_OEM_VERS": _ephemeris_message, "LabVIEW Measurement": _labview,
-    "USNO Double Star": _washington, "# %ECSV": _ecsv, "Title:": _machine_readable,
-    **dict.fromkeys(OF_SP3, of_sp3),
-    'comment,"OptiTrack Export': _tracking_tools, **dict.fromkeys(NMEA, of_nmea),
+    "CCSDS_OEM_VERS": of_message, "stk.v.": of_stk, "LabVIEW Measurement": _labview,
+    "USNO Double Star": _washington, "Object:": _orbit_input, "# %ECSV": _ecsv,
+    "Title:": _machine_readable, 'comment,"OptiTrack Export': _tracking_tools,
+    **dict.fromkeys(NMEA, of_nmea),
     **dict.fromkeys(
         ("API", "Ephemeris", "JPL", "{", "*" * 10, "@ " + "*" * 8, "# " + "*" * 8), plain_horizons
     ),
 }  # fmt: skip
-HEADS = tuple(_KNOWN)
-"""How such files begin."""
+_LINES = {
+    re.compile(OF_SP3): of_sp3, re.compile(OF_ELEMENTS): elements,
+    re.compile(OF_OBSERVATIONS): of_observations,
+}  # fmt: skip
+"""How such files begin: words, and lines, of which the places of their signs matter."""
+
+
+def _rule(text):
+    """What reads a text that begins so, None of others; and the text from there on."""
+    begin, lines = text.lstrip(), text.lstrip("\r\n")
+    named = ((rule, begin) for head, rule in _KNOWN.items() if begin.startswith(head))
+    of_lines = ((rule, lines) for line, rule in _LINES.items() if line.match(lines))
+    return next(named, None) or next(of_lines, (None, text))
+
+
+def has_preamble(text):
+    """Whether a text begins as a program writes it."""
+    return _rule(text)[0] is not None
 
 
 def without_preamble(text, path):
-    """The plain table in a text that begins as one of `HEADS`, and notes; else the text itself.
+    """The plain table in a text that has a preamble, and notes; else the text itself.
 
     Raises
     ------
     DataError
         If the preamble is not as the program writes it, or markers have no names.
     """
-    text = text.lstrip()
-    plain = next(rule for head, rule in _KNOWN.items() if text.startswith(head))
+    plain, text = _rule(text)
     try:
         made = plain(text, path)
         return made if isinstance(made, tuple) else (made, ())

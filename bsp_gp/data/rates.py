@@ -26,7 +26,7 @@ from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK, SUMS
 from bsp_gp.data.sight import along_sight, sighted
 from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, has_swing, summed
-from bsp_gp.data.words import words_for
+from bsp_gp.data.words import apart, words_for
 from bsp_gp.errors import DataError, in_python
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
@@ -392,7 +392,7 @@ def _refuse_several(table, headings, velocity):
 def _axis_in(text):
     """The axis that a heading names: the last of its letters x, y, z that stand alone; or ""."""
     before = r"(?:(?<![a-z])|(?<=\ba)|(?<=\bacc)|(?<=\baccel)|(?<=\bgf))"
-    found = re.findall(rf"{before}([xyz])(?![a-z])", text.lower())
+    found = re.findall(rf"{before}([xyz])(?![a-z])", apart(text).lower())
     return found[-1] if found else ""
 
 

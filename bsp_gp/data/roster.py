@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.conversion import is_unit
+from bsp_gp.data.conversion import is_unit, unit_of
 from bsp_gp.data.scene import PROPERTY_UNITS, SHAPES, Entity
 from bsp_gp.errors import DataError
+from bsp_gp.units import Unit
 
 OWN_COLUMNS = ("entity", "scene", "shape", "radius", "width", "height", "dynamic")
 _IN_BRACKETS = re.compile(r"(.*?)\s*[(\[]([^()\[\]]+)[)\]]\s*")
@@ -67,7 +68,11 @@ def require_columns(table, needed, along=()):
     if missing:
         present = table.present or tuple(map(str, table.frame.columns))
         options = " ".join(f'{column}="..."' for column in missing)
-        if "x" in missing:
+        lengths = [text for name, text in table.unused.items()
+                   if unit_of(table.units.get(name, "1")) == Unit.of(m=1)]  # fmt: skip
+        if missing == ["x", "y"] and len(lengths) == 1:
+            options = f'x="{lengths[0]}" (or y= of a height)'
+        elif "x" in missing:
             named = [*along, '"..."', '"..."']
             options += f" (of bodies side by side, BODY_x={named[0]} OTHER_x={named[1]}"
             options += '; of speeds alone, vx="...")'

@@ -209,7 +209,8 @@ def along_sight(table, declaration, column):
     own = {column: "x"}
     if error:
         own[error] = "sx"
-        notes.append(f"{table.unused.get(error, error)!r} is taken as its error")
+        theirs = table.theirs.get(error, table.unused.get(error, error))
+        notes.append(f"{theirs!r} is taken as its error")
     table = replace(
         table, frame=table.frame.rename(columns=own), notes=(*table.notes, *notes),
         theirs={**table.theirs, "x": heading},

@@ -176,8 +176,9 @@ def _offsets(table, found, units):
         fail_at(
             table, f"{np.degrees(away[k]):.3g} degrees from the middle of all places: a plane is "
             "no picture of so much of the sky", k, "ra",
-            "add a column of how far each is (of JPL Horizons delta), or give offsets x and y; of "
-            "JPL Horizons ask for a vector table, or for another centre, such as the Sun",
+            "keep the rows of fewer nights, add a column of how far each is (of JPL Horizons "
+            "delta), or give offsets x and y; of JPL Horizons ask for a vector table, or for "
+            "another centre, such as the Sun",
         )  # fmt: skip
     arcsec = parse_unit("arcsec")[0]
     x = np.cos(dec) * np.sin(turn) / depth / arcsec

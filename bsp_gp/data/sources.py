@@ -12,7 +12,7 @@ from pathlib import Path
 from bsp_gp.data import arrays, gps, molecules
 from bsp_gp.data.headings import is_run
 from bsp_gp.data.notes import listed
-from bsp_gp.data.preambles import HEADS, without_preamble
+from bsp_gp.data.preambles import has_preamble, without_preamble
 from bsp_gp.data.records import ENDINGS as RECORDS
 from bsp_gp.data.records import as_table
 from bsp_gp.data.words import n_known_words
@@ -33,7 +33,6 @@ _OWN_FORMATS = {
     ".phyphox": "an experiment of phyphox; there, choose Export Data > CSV",
     ".labx": "a file of CASSY Lab 2; there, choose File > Export as a text (.txt)",
     ".c3d": "a binary file of motion capture; export it there as .trc or CSV",
-    ".oem": "an orbit ephemeris message; write its rows as a table with the header t,x,y,z",
 }
 """What other programs keep for themselves, and how to get a table out of them."""
 _ENCODINGS = ("cp1252", "cp1250", "cp1251", "gb18030", "big5", "shift_jis", "euc_kr", "cp1253",
@@ -168,7 +167,7 @@ def open_source(path, names=()):
         return _made(Source(path, digest, {}), *arrays.as_table(path))
     if is_zip(path):
         return _workbook(path) if is_book(path) else _of_archive(path, names)
-    source = _text_file(path, names)
+    source = _with_joined_angles(_text_file(path, names))
     if path.suffix.lower() in gps.ENDINGS:
         with source.open() as stream:
             return _made(source, *gps.of_xml(stream.read(), path))
@@ -286,7 +285,7 @@ def _told_apart(source, names):
     source = _without_numbered_names(source, names)
     with source.open() as stream:
         head = stream.read(_BEGIN)
-        if not head.lstrip().startswith(HEADS):
+        if not has_preamble(head):
             return source
         text = head + stream.read()
     plain, notes = without_preamble(text, source.path)
@@ -317,7 +316,37 @@ def _without_numbered_names(source, names):
     return replace(source, text=text, counts=_counts(text), notes=(*source.notes, note))
 
 
-_BEGIN = 60
+_ANGLES = {("RAh", "RAm", "RAs"): "ra", ("DE-", "DEd", "DEm", "DEs"): "dec"}
+"""Columns of one angle side by side, as tables of the CDS have them."""
+
+
+def _with_joined_angles(source):
+    """The source with one column in the place of those that are one angle, and a note."""
+    head, parts = source.head(_HEADER), next(iter(_ANGLES))
+    told = (k for k, line in enumerate(head) if parts[0] in line)  # a few, if any
+    number = next((k for k in told if _cells_of(_bare(head[k])) >= {*parts}), None)
+    if number is None:
+        return source
+    mark = max("\t,;", key=head[number].count)
+    with source.open(newline="") as stream:
+        rows = [*csv.reader(stream, delimiter=mark)]
+    for parts, name in _ANGLES.items():
+        names, n = [_bare(cell).strip() for cell in rows[number]], len(parts)
+        k = next((k for k in range(len(names)) if tuple(names[k : k + n]) == parts), None)
+        for row in rows[number:] if k is not None else ():
+            signed = ["".join(row[k : k + n - 2]).strip(), *row[k + n - 2 : k + n]]
+            row[k : k + n] = [" ".join(signed).strip() if row is not rows[number] else name]
+    out = io.StringIO()
+    csv.writer(out, delimiter=mark, lineterminator="\n").writerows(rows)
+    return _made(source, out.getvalue(), (f"columns such as {', '.join(parts)} are one angle",))
+
+
+def _bare(text):
+    """A text without what stands in round brackets."""
+    return re.sub(r"\s*\([^()]*\)", "", text)
+
+
+_BEGIN = 2000
 """Characters by which the files of programs are known."""
 _HEADER = 60
 """Lines among which the names of the columns are looked for."""

@@ -437,7 +437,8 @@ def _assemble(table, roster, declaration, default_name):
             "measured and are not differences of positions"
         )
     n_dims = scenes[0].n_dims
-    steps = {axis: step * conversion.length(axis) for axis, step in table.steps.items()}
+    steps = table.steps or dict(zip("xyz", declaration.steps, strict=False))
+    steps = {axis: float(step * conversion.length(axis)) for axis, step in steps.items()}
     steps = tuple(steps.get(axis, 0.0) for axis in "xyz"[:n_dims]) if steps else ()
     provenance = dict(declaration.provenance)
     theirs = [k if k == v else f"{k} = {v!r}" for k, v in table.theirs.items()]

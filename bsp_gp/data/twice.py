@@ -181,7 +181,8 @@ def measures_at_once(rows):
 
 def _observed_at_once(rows):
     """Of what is dated, rows in which a few neighbours without errors are their median."""
-    is_dated = are_within(rows.times.min(), rows.times.max(), (YEARS, JULIAN))
+    dates = rows.times / rows.second
+    is_dated = are_within(dates.min(), dates.max(), (YEARS, JULIAN))
     again = np.all([np.diff(v) == 0 for v in (rows.scene, rows.entity, rows.times)], axis=0)
     if not is_dated or not again.any() or again.sum() > FEW * len(again):
         return rows, ()

@@ -8,8 +8,10 @@ from importlib.resources import files
 _WIDE = str.maketrans("（）［］／：，＃　", "()[]/:,# ")
 """Signs as East Asian keyboards write them."""
 _EAST = r"[\u2e80-\u30ff\u3400-\u9fff\uac00-\ud7af]"
-_BORDER = re.compile(rf"(?<={_EAST})(?=[A-Za-z0-9])|(?<=[A-Za-z0-9])(?={_EAST})")
-"""Between ``位置`` and ``x``, which nobody sets apart."""
+_BORDER = re.compile(
+    rf"(?<={_EAST})(?=[A-Za-z0-9])|(?<=[A-Za-z0-9])(?={_EAST})|(?<=[a-z]{{3}})(?=[XYZ](?![^\W_]))"
+)
+"""Between ``位置`` and ``x``, and in ``AccelerationX``, which nobody sets apart."""
 _LETTERS = ("LATIN", "GREEK", "CYRILLIC")
 
 
@@ -29,7 +31,7 @@ def plain_signs(text):
 
 
 def apart(text):
-    """A heading with a blank between letters of East Asia and those of ours."""
+    """A heading with a blank between letters of East Asia and ours, and before an axis."""
     return _BORDER.sub(" ", text)
 
 

@@ -262,14 +262,10 @@ def test_frames_of_particles(tmp_path):
         load_dataset(path, fps=1)
 
 
-@pytest.mark.parametrize(("name", "said"), [("a.labx", "CASSY Lab 2"), ("a.oem", "ephemeris")])
-def test_formats_of_other_programs_are_named(tmp_path, name, said):
-    (tmp_path / name).write_text("<x/>", encoding="utf-8")
-    with pytest.raises(DataError, match=f"not read; .*{said}"):
-        load_dataset(tmp_path / name)
-    (tmp_path / "b.txt").write_text("CCSDS_OEM_VERS = 2.0\nMETA_START\n", encoding="utf-8")
-    with pytest.raises(DataError, match=r"CCSDS OEM.*t,x,y,z"):
-        load_dataset(tmp_path / "b.txt")
+def test_formats_of_other_programs_are_named(tmp_path):
+    (tmp_path / "a.labx").write_text("<x/>", encoding="utf-8")
+    with pytest.raises(DataError, match="not read; .*CASSY Lab 2"):
+        load_dataset(tmp_path / "a.labx")
 
 
 def test_a_body_that_is_named_is_the_only_one(tmp_path):

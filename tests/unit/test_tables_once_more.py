@@ -66,7 +66,7 @@ def test_units_that_astropy_says_above_the_table_are_those_of_its_columns(tmp_pa
 
 def test_orbits_in_sp3_are_turned_back_about_the_earth(tmp_path):
     """A satellite that keeps its place over the ground goes round once in a day."""
-    lines = ["#cP2017  2 14  0  0  0.00000000       2 ORBIT IGS14 HLM  IGS",
+    lines = ["", "#cP2017  2 14  0  0  0.00000000       2 ORBIT IGS14 HLM  IGS",
              "## 1936 172800.00000000   900.00000000 57798 0.0000000000000", "+    2   G01G02"]
     for k in range(24):
         lines += [f"*  2017  2 14 {k:2d}  0  0.00000000",
