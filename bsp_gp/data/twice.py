@@ -16,6 +16,9 @@ LISTED = 8
 LEAP, LEAST_LEAPS = 10.0, 10
 """Steps of the grid of its places, if they are on one, that a body leaps before a reading that is
 held, and behind it; and how many of these there are at least."""
+LOWEST, NEARLY, MOSTLY = 0.01, 0.15, 0.9
+"""The quantile of steps that is about the smallest, and how many of all are by how little off whole
+numbers of it, where they are steps of a sensor: of any size three in ten are."""
 TURNS = 0.5
 """Part of the usual share of readings between two steps of one sense, below which those that are
 held at turning points are none."""
@@ -118,6 +121,7 @@ def _are_held(times, places):
     if np.count_nonzero(np.diff(moving) > 1) < LEAST_LEAPS or not np.isfinite(places).all():
         return nothing
     grid = np.array([coarsest_step([(times, own)]) for own in places.T])
+    grid = np.maximum(grid, [_quantum(own[own > 0]) for own in steps.T])
     is_leap = ((steps[moving] > 0) & (steps[moving] >= LEAP * grid)).any(axis=1)
     firsts, lasts = np.append(0, moving + 1), np.append(moving, len(places) - 1)
     chosen = np.append(True, is_leap) & np.append(is_leap, True) & (lasts > firsts)
@@ -133,6 +137,19 @@ def _are_held(times, places):
     for first, last in zip(firsts[chosen], lasts[chosen], strict=True):
         nothing[first + 1 : last + 1] = True
     return nothing
+
+
+def _quantum(steps):
+    """Size that steps are whole numbers of, but for rounding; 0.0 where they are of any size.
+
+    Degrees of a sensor that are printed as radians lie on no grid but that of the last digit.
+    """
+    if not len(steps):
+        return 0.0
+    least = np.quantile(steps, LOWEST)
+    size = float(np.median(steps[steps < 1.5 * least])) if least > 0 else 0.0
+    is_whole = np.abs(steps / size - np.round(steps / size)) < NEARLY if size else np.zeros(1)
+    return size if np.mean(is_whole) > MOSTLY else 0.0
 
 
 def _left_out(rows, is_out, what):

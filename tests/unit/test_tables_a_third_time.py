@@ -249,3 +249,14 @@ def test_what_is_named_after_the_dots_of_newton_is_a_rate(tmp_path, names, bodie
     path = written(tmp_path, [f"t,{names}", *rows(np.arange(40) / 10, *wave)])
     units = {name: "rad" for name in names.split(",") if name[0] != "x" and "_" not in name}
     assert len(load_dataset(path, units=units).scenes[0].names) == len(bodies)
+
+
+def test_degrees_printed_as_radians_are_no_held_readings(tmp_path):
+    times = np.arange(600) / 40
+    angle = np.radians(np.round(25 * np.exp(-times / 20) * np.cos(3.1 * times + 0.3)))
+    file = tmp_path / "swing.csv"
+    rows = [f"{t:.3f},{a:.3f}" for t, a in zip(times, angle, strict=True)]
+    file.write_text("\n".join(["t (s),theta (rad)", *rows]) + "\n", encoding="utf-8")
+    data = load_dataset(file)
+    assert sum(len(scene.times) for scene in data.scenes) == 600
+    assert not any("hold the place" in note for note in data.notes)
