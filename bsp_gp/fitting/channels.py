@@ -89,6 +89,12 @@ class Channels:
         """Intervals to the row before, s, shape (T, C); inf where a channel begins."""
         return gaps_of(self.times)
 
+    def at_rows(self, rows):
+        """The same at some rows of every channel, ndarray of int."""
+        named = ("times", "seen", "quoted", "speed")
+        own = {n: getattr(self, n) for n in named}
+        return replace(self, **{n: None if v is None else v[rows] for n, v in own.items()})
+
     def only(self, kept):
         """Some of the channels; `kept` is an array of bool, shape (C,)."""
         rows = {n: getattr(self, n) for n in ("times", "seen", "quoted", "speed")}

@@ -24,6 +24,11 @@ _PROMISE = 0.5
 _NEEDED = 0.01
 """Chance of what probes take off, below which a law lacks something that they stand for."""
 
+MOST_ROWS = 8000
+"""Measured values of long tracks by which the kind of noise is told: its sizes are told by all."""
+STRETCH = 64
+"""Rows on end of the stretches, spread evenly, that these are taken from."""
+
 
 def estimate(model, channels, residual, columns=None, local=None, adopt=True, parts=PARTS):
     """Estimate what is free of the noise from the residual of a fit.
@@ -47,6 +52,38 @@ def estimate(model, channels, residual, columns=None, local=None, adopt=True, pa
     FitError
         No row is left after what is free, though a level is to be estimated.
     """
+    rows = _stretches(model, channels)
+    if rows is None:
+        return _estimate(model, channels, residual, columns, local, adopt, parts)
+    found = _estimate(model, *_at(rows, channels, residual, columns, local), adopt, parts)
+    return _sized(found, channels, residual, columns, local)
+
+
+def _stretches(model, channels):
+    """Rows of long tracks that tell the kind of their noise, ndarray of int; None for all."""
+    n_rows, n_seen = len(channels.times), int(channels.seen.sum())
+    count = n_rows * MOST_ROWS // max(n_seen, 1) // STRETCH
+    if n_seen <= MOST_ROWS or not 1 < count < n_rows // STRETCH or model.adding:
+        return None
+    firsts = np.linspace(0, n_rows - STRETCH, count).astype(int)
+    return np.unique(firsts[:, None] + np.arange(STRETCH))
+
+
+def _at(rows, channels, *arrays):
+    """Channels, and arrays (..., T, C) of theirs, at some rows."""
+    return channels.at_rows(rows), *(None if a is None else a[..., rows, :] for a in arrays)
+
+
+def _sized(model, channels, residual, columns, local):
+    """The model with the sizes that all rows tell, where no row has a weight of its own."""
+    task = NoiseTask(model, channels, residual, columns, local)
+    if not task.can_estimate or math.isfinite(model.degrees):
+        return model
+    return task.rescale(model, is_rough=True)[0]
+
+
+def _estimate(model, channels, residual, columns, local, adopt=True, parts=PARTS):
+    """As `estimate`, by all rows."""
     model = model.plain() if adopt else model
     task = NoiseTask(model, channels, residual, columns, local)
     if not task.can_estimate:
@@ -85,15 +122,19 @@ def estimate_beside(model, channels, residual, columns, local, probes):
     probes : ndarray, shape (q, T, C)
         Further columns of every chain.
     """
+    rows = _stretches(model, channels)
+    if rows is not None:
+        found = estimate_beside(model, *_at(rows, channels, residual, columns, local, probes))
+        return _sized(found, channels, residual, columns, np.concatenate([local, probes]))
     both = np.concatenate([local, probes])
-    beside = estimate(model, channels, residual, columns, both)
+    beside = _estimate(model, channels, residual, columns, both)
     adopted = _adopted(beside)
     if not adopted or needs(model.plain(), channels, residual, columns, local, probes):
         return beside
-    parts = adopted & _adopted(estimate(model, channels, residual, columns, local))
+    parts = adopted & _adopted(_estimate(model, channels, residual, columns, local))
     if parts == adopted:
         return beside
-    return estimate(model, channels, residual, columns, both, parts=parts)
+    return _estimate(model, channels, residual, columns, both, parts=parts)
 
 
 def _adopted(model):
@@ -110,6 +151,10 @@ def needs(model, channels, residual, columns, local, probes):
     model, channels, residual, columns, local, probes
         As `estimate_beside` takes them.
     """
+    rows = _stretches(model, channels)
+    if rows is not None:
+        own = _at(rows, channels, residual, columns, local, probes)
+        return needs(model, *own)
     both = np.concatenate([local, probes])
     wide, plain = (
         NoiseTask(model, channels, residual, columns, c) for c in (both, local)

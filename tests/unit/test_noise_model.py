@@ -357,3 +357,21 @@ def test_no_row_left_is_an_error():
     found = channels(3)
     with pytest.raises(FitError, match="6 measured values, 6 free numbers; declare noise"):
         estimate(free_model(), found, np.ones((3, 2)), local=polynomials(found, 2))
+
+
+def test_long_tracks_tell_the_kind_of_their_noise_in_stretches():
+    """All rows of 100,000 took minutes, however short the time that was left."""
+    rng = np.random.default_rng(11)
+    found = channels(50_000)
+    truth = free_model(levels=(0.3, 2.0), correlated=0.6, correlation_time=0.4)
+    local = polynomials(found, 2)
+    residual = drawn(truth, found, rng)
+    model = estimate(free_model(), found, residual, None, local)
+    assert adopted(model) == ["correlation"]
+    assert model.correlation_time == pytest.approx(0.4, rel=0.15)
+    assert model.correlated == pytest.approx(0.6, abs=0.05)
+    np.testing.assert_allclose(model.levels, truth.levels, rtol=0.015)  # as all rows tell them
+    tailed = residual * rng.standard_t(4, residual.shape)
+    assert "tails" in adopted(estimate(free_model(), found, tailed, None, local))
+    white = drawn(free_model(levels=(0.3, 2.0)), found, rng)
+    assert not adopted(estimate(free_model(), found, white, None, local))
