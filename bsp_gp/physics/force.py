@@ -459,9 +459,17 @@ def _summand_units(formula):
     for part in summands(sums[0]) if isinstance(others, Unit) else ():
         up, down = factors(part)
         own = [f for f in up if isinstance(f, Constant)]
-        rest = quotient([f for f in up if not isinstance(f, Constant)], down).type.unit
-        if len(own) == 1 and isinstance(rest, Unit):
-            units[own[0].name] = FORCE / others / rest
+        up = [f for f in up if not isinstance(f, Constant)]
+        turned = [f for f in up if isinstance(f, Call) and f.operator == "cross"]
+        if len(turned) == 1 and not own:  # by a spin with constants as components
+            spin, other = turned[0].args
+            own = [f for f in map(_coordinate, summands(spin)) if isinstance(f, Constant)]
+            up = [other if f is turned[0] else f for f in up]
+        elif len(own) > 1:
+            continue
+        rest = quotient(up, down).type.unit
+        if isinstance(rest, Unit):
+            units |= dict.fromkeys((f.name for f in own), FORCE / others / rest)
     return units
 
 

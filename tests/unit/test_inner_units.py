@@ -22,6 +22,10 @@ X = "dot(p_i - origin, e_x)"
         (f"c * (({X} - h)^2 + D^2)^-1.5 * e_x", {"h": "m", "D": "m", "c": "kg m^4/s^2"}),
         ("c * norm(v_i)^n * normalize(v_i)", {}),
         ("m_i * (W^2 * (p_i - origin) - 2 * W * perp(v_i))", {"W": "1/s"}),
+        (
+            "m_i * (-1 * cross(A * e_x + B * e_y, cross(A * e_x + B * e_y, p_i - origin)) "
+            "- 2 * cross(A * e_x + B * e_y, v_i))", {"A": "1/s", "B": "1/s"},
+        ),
     ],
 )
 def test_units_of_constants_inside(text, units):

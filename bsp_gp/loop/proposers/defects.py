@@ -70,7 +70,7 @@ class Defects:
             ("lost_track", still, theirs, n_still),
             ("clock_jump", closed, gained, n_still),
         ]
-        # What goes round in the sky is neither let go nor lands.
+        # What goes round in the sky is neither let go nor lands, and no film of it loses frames.
         asked = [] if view.is_sky else list(filter(is_open, chains))
         ends, bare, n_ends = _untrimmed(view, asked)
         if len(ends) > 1:  # one alone is a track that is lost
@@ -78,6 +78,9 @@ class Defects:
         if windows:
             kinds += [
                 ("bad_row", *_rows(windows, n_tried), n_tried),
+            ]
+        if windows and not view.is_sky:
+            kinds += [
                 ("lost_track", *_lost(windows), n_tried),
                 ("clock_jump", *_frames(moved), n_tried),
             ]
