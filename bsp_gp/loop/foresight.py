@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special, stats
 
+from bsp_gp.data.extent import is_of_the_sky
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import TrackNoise
 from bsp_gp.loop.accounts import Accounts
@@ -83,7 +84,8 @@ class Foresight:
         law that describes the tracks: one that does so better is refused by what was held out
         alone. The likeliest of every number of constants are asked first: with all of those that
         are likelier the same may be too much. Noise foresees nothing: causes that are as likely
-        are asked as well. The round as it is where there is none.
+        are asked as well. In the sky only bodies come in question, and no push along an axis. The
+        round as it is where there is none.
 
         Parameters
         ----------
@@ -100,6 +102,7 @@ class Foresight:
             if row.id != refused.id and foresees(row) and row.id in done.fits
             and row.log_posterior - base.log_posterior > criteria.noise_nats
             and not (is_noise and refused.log_posterior - row.log_posterior > criteria.noise_nats)
+            and (not is_of_the_sky(self._dataset) or _is_pull(row, done.proposals[row.id]))
         ]  # fmt: skip
         firsts = {row.n_free: row for row in reversed(others)}
         others.sort(key=lambda row: firsts[row.n_free] is not row)
@@ -157,6 +160,11 @@ class Foresight:
         if is_worse or _runs_away(plain):
             return True, False
         return False, not ratio > NO_BETTER or _is_better_in_noise(accounts(N_COPIES))
+
+
+def _is_pull(row, proposal):
+    """Whether a cause is what moves bodies in the sky: other bodies, seen or not."""
+    return row.kind == "hidden_body" or all("p_j" in form.inputs for form in proposal.formulas)
 
 
 def that_foresee(rounds, foresight):
