@@ -29,7 +29,11 @@ def companion_of(effect):
     whole = [own for own in known.values() if {"P", "K"} <= set(own)]
     seen = [own for own in whole if own["K"].low > 0]  # others have become superfluous
     told = [_orbit(own["P"], own["K"], own.get("e")) for own in seen or whole]
-    return f"an unseen companion {' and another '.join(told)}" if told else effect.name
+    if not told:
+        return effect.name
+    bent = any(c.name.startswith("trend") for c in effect.constants)
+    beside = " beside a velocity that goes on changing, as one far out makes it" if bent else ""
+    return f"an unseen companion {' and another '.join(told)}{beside}"
 
 
 def _orbit(period, size, eccentricity):

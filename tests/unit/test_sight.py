@@ -161,6 +161,18 @@ def test_a_companion_far_out_bends_the_velocities(tmp_path, rng):
     assert abs(bend.value + 16.0 / (1000 * DAY) ** 2) < 1.5 * (bend.high - bend.low)
 
 
+def test_a_companion_beside_a_trend_is_one(tmp_path, rng):
+    # A second one had been told whose period was three times the recording.
+    dates, speeds, errors = observed(rng, 80, 1400, (269.7, 50.0, 1.0, 0.36, 2.0))
+    speeds -= 0.1 * (dates - dates.mean())
+    data = load_dataset(write(tmp_path / "star.csv", dates, speeds, errors))
+    report = close_loop(data, "nothing", rng=rng, n_bootstrap=0)
+    assert report.verdict == "effect adopted"
+    names = [c.name for c in report.constants]
+    assert sorted(names) == ["K1", "P1", "e1", "longitude1", "omega1", "trend1"]
+    assert "beside a velocity that goes on changing" in " ".join(summary_text(report).split())
+
+
 def test_two_companions_each_of_which_hides_the_other(tmp_path, rng):
     dates, speeds, errors = observed(rng, 60, 1300, (11.75, 25.0, 1.0), (103.7, 30.0, 4.0))
     file = write(tmp_path / "star.csv", dates, speeds, errors)

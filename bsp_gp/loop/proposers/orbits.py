@@ -114,9 +114,10 @@ class OrbitPairs:
         pairs = scan.pairs(*rates)
         oval = scan.ellipse(scan.peaks(gains[:, 0]))
         beside = scan.beside(oval)
-        other = beside.closer(beside.rates[int(np.argmax(beside.circles()[:, 0]))])
+        other = beside.closer(beside.rates[int(np.argmax(beside.circles_beside()))])
         pairs += [(oval, other), (scan.beside(other).ellipse([oval[0]]), other)]
         proposals = [_proposal(view, scan, pair) for pair in pairs]
+        proposals += _beside_trends(view, scan)
         return _family(self.name, scan, proposals, np.array([best, *null]), 4)
 
 
@@ -168,6 +169,7 @@ class _Scan:
         steps = np.arange(max(min(count, most), 0))
         self.rates = 2 * math.pi * (low + steps / (OVERSAMPLING * self.span))
         self.targets = np.concatenate([view.tangent.residual[None], view.row_draws])
+        self.total = float(np.square(self.targets[0]).sum())
         self.basis = np.zeros((0, self.targets.shape[1]))  # of what other orbits take up
 
     def projected(self, columns):
@@ -179,14 +181,24 @@ class _Scan:
         return rows - (rows @ self.basis.T) @ self.basis
 
     def gains(self, columns):
-        """Chi-squared that pairs of velocities (f, 2, T, C) gain, (f, 1 + B)."""
+        """Chi-squared that pairs of velocities (f, 2, T, C) gain on the data, (f,)."""
         rows = self.projected(columns.reshape(-1, *columns.shape[2:]))
-        return _gains(_grams(rows), rows @ self.targets.T)
+        return _gains(_grams(rows), rows @ self.targets[:1].T)[:, 0]
 
     def circles(self):
         """Chi-squared that circles of every period gain, (F, 1 + B)."""
-        blocks = (self._without(rows) if len(self.basis) else rows for rows in self.blocks)
-        return np.concatenate([_gains(_grams(rows), rows @ self.targets.T) for rows in blocks])
+        return np.concatenate([
+            _gains(own, rows @ self.targets.T)
+            for rows, own in zip(self.blocks, self.grams, strict=True)
+        ])  # fmt: skip
+
+    def circles_beside(self):
+        """The same beside what other orbits take up, on the data alone, (F,)."""
+        found, target = [], self.targets[:1].T
+        for rows, own in zip(self.blocks, self.grams, strict=True):
+            inside = rows @ self.basis.T
+            found.append(_gains(own - _grams(inside), rows @ target)[:, 0])
+        return np.concatenate(found)
 
     def seconds(self, rate, which):
         """Chi-squared that circles of every period gain of a target beside one of a rate, (F,)."""
@@ -225,8 +237,11 @@ class _Scan:
             tuple(x + (k == i) * step for k, x in enumerate(point)) for i, step in enumerate(steps)
         )
         changes = [np.tensordot(amounts, self._columns(*m) - columns, 1) for m in moved]
-        other = copy(self)
-        rows = np.concatenate([self.basis, self.projected(np.concatenate([columns, changes]))])
+        return self.without(self.projected(np.concatenate([columns, changes])))
+
+    def without(self, rows):
+        """The same beside what rows (c, n) take up."""
+        other, rows = copy(self), np.concatenate([self.basis, rows])
         other.basis = orthonormal(rows.T, rows.shape[1]).T
         other.targets = other._without(self.targets)
         return other
@@ -280,11 +295,13 @@ class _Scan:
         rates = np.concatenate([rates, rates[:5] / 2, rates[:5] / 3])
         rates = rates[rates > low] if (rates > low).any() else np.array([low])
         phases = 2 * math.pi * np.arange(N_PHASES) / N_PHASES
-        grid = [(rate, e, phase) for rate in rates for e in ECCENTRICITIES for phase in phases]
+        grid = np.stack(np.meshgrid(rates, ECCENTRICITIES, phases, indexing="ij"), axis=-1)
+        grid = grid.reshape(-1, 3)
         gained = np.concatenate([
-            self.gains(np.stack([self._columns(*point) for point in grid[first : first + BLOCK]]))
+            self.gains(np.moveaxis(self._columns(*grid[first : first + BLOCK].T[:, :, None, None]),
+                                   0, 1))
             for first in range(0, len(grid), BLOCK)
-        ])[:, 0]  # fmt: skip
+        ])  # fmt: skip
         step = 2 * math.pi / self.span
 
         def left(numbers):
@@ -308,11 +325,11 @@ class _Scan:
         return tuple(map(float, best.x))
 
     def _columns(self, rate, eccentricity, phase):
-        """The two velocities of an orbit, (2, T, C)."""
+        """The two velocities of an orbit, (2, T, C); of numbers (F, 1, 1) (2, F, T, C)."""
         anomaly = eccentric_anomaly(rate * self.times + phase, eccentricity)
         near = 1 - eccentricity * np.cos(anomaly)
         cos = (np.cos(anomaly) - eccentricity) / near
-        sin = math.sqrt(1 - eccentricity**2) * np.sin(anomaly) / near
+        sin = np.sqrt(1 - eccentricity**2) * np.sin(anomaly) / near
         return np.stack([cos + eccentricity, -sin])
 
     def _left(self, columns):
@@ -327,7 +344,7 @@ class _Scan:
         Each: period, size, mean longitude at the epoch, eccentricity, omega.
         """
         left, amounts = self._left(np.concatenate([self._columns(*point) for point in points]))
-        total = float(np.square(self.targets[0]).sum())
+        total = self.total
         gain = float(_beside_noise(total - np.square(left).sum(), total))
         numbers = []
         for (rate, eccentricity, phase), (one, other) in zip(
@@ -372,10 +389,10 @@ def _peaks(gains, most):
     return peaks[np.argsort(-gains[peaks])][:most]
 
 
-def _proposal(view, scan, points):
-    """Orbits; one of no eccentricity is a circle."""
-    law, parts = view.fit.law, []
+def _proposal(view, scan, points, trend=None):
+    """Orbits; one of no eccentricity is a circle. A trend may stand beside them."""
     found, gain = scan.orbits(points)
+    law, parts = view.fit.law, [trend] if trend else []
     for numbers in found:
         part = Orbit(_numbers(law, scan, numbers), scan.epoch, scan.axis)
         law, parts = replace(law, frame=(*law.frame, part)), [*parts, part]
@@ -417,18 +434,35 @@ def _numbers(law, scan, values):
 
 def _trends(view, scan):
     """A steady change, and one that changes steadily itself, as far as the rows tell them."""
-    powers = np.stack([scan.times, scan.times**2 / 2])
-    rows = scan.projected(np.where(scan.is_own, powers, 0.0))
-    target, total = scan.targets[0], float(np.square(scan.targets[0]).sum())
-    widths = scan.extent / scan.span, 8 * scan.extent / scan.span**2
-    names = tuple(fresh_names(view.fit.law, ("trend", "bend")).values())
     for code, n in (("trend", 1), ("bent_trend", 2)):
-        amounts = np.linalg.lstsq(rows[:n].T, target, rcond=1e-10)[0]
-        left = float(np.square(target - amounts @ rows[:n]).sum())
-        numbers = tuple(
-            Parameter(names[k], "", LENGTH / TIME ** (k + 1), start=float(amounts[k]),
-                      prior=Prior("truncated_normal", mean=0.0, sd=widths[k]))
-            for k in range(n)
-        )  # fmt: skip
-        trend = Trend(numbers, scan.epoch, scan.axis)
-        yield _of_parts(view, code, [trend], float(_beside_noise(total - left, total)))
+        trend, rows = _trend(view, scan, n)
+        left = float(np.square(scan.without(rows).targets[0]).sum())
+        yield _of_parts(view, code, [trend], float(_beside_noise(scan.total - left, scan.total)))
+
+
+def _beside_trends(view, scan):
+    """A circle and an ellipse, each beside a steady change, and beside one that changes itself."""
+    rates, out = None, []
+    for n in (1, 2):
+        trend, rows = _trend(view, scan, n)
+        beside = scan.without(rows)
+        rates = beside.peaks(beside.circles_beside()) if rates is None else rates
+        found = beside.closer(rates[0]), beside.ellipse(rates)
+        out += [_proposal(view, beside, (orbit,), trend) for orbit in found]
+        rates = [orbit[0] for orbit in found]
+    return out
+
+
+def _trend(view, scan, n):
+    """A polynomial of velocities in time of so many powers, and its rows (n, rows)."""
+    powers = np.stack([scan.times ** (k + 1) / (k + 1) for k in range(n)])
+    rows = scan.projected(np.where(scan.is_own, powers, 0.0))
+    amounts = np.linalg.lstsq(rows.T, scan.targets[0], rcond=1e-10)[0]
+    widths = scan.extent / scan.span, 8 * scan.extent / scan.span**2
+    names = fresh_names(view.fit.law, ("trend", "bend")[:n]).values()
+    numbers = tuple(
+        Parameter(name, "", LENGTH / TIME**power, start=float(amount),
+                  prior=Prior("truncated_normal", mean=0.0, sd=width))
+        for power, (name, amount, width) in enumerate(zip(names, amounts, widths, strict=False), 1)
+    )  # fmt: skip
+    return Trend(numbers, scan.epoch, scan.axis), rows
