@@ -54,13 +54,14 @@ def decide(table, criteria=None):
     if not math.isfinite(table.p_value):
         return Decision("cannot tell", "not_tested")
     if table.p_value > criteria.alpha:
-        return _unless_swamped(table, Decision("nothing missing", "not_significant"))
+        return _unless_swamped(table, Decision("nothing missing", "not_significant"), criteria)
     candidates = table.candidates
     # Of what no law explains that noise does not do either nothing is said but that it was seen.
     is_forced = table.forced > FORCED * criteria.noise_nats
     if not candidates:
         if table.noise_p <= criteria.alpha and not is_forced:
-            return _unless_swamped(table, Decision("the noise is not as assumed", "noise_explains"))
+            told = Decision("the noise is not as assumed", "noise_explains")
+            return _unless_swamped(table, told, criteria)
         return Decision("seen, not adopted", "no_candidate_fits")
     best = candidates[0]
     noise = next((row for row in candidates if row.kind == "noise"), None)
@@ -70,7 +71,7 @@ def decide(table, criteria=None):
     )  # fmt: skip
     if is_near:
         told = Decision("the noise is not as assumed", "noise_explains", noise, True)
-        return _unless_swamped(table, told)
+        return _unless_swamped(table, told, criteria)
     rivals = tuple(
         row for row in _comparable(table)
         if row.id != best.id and _is_rival(row, best, criteria)
@@ -83,7 +84,8 @@ def decide(table, criteria=None):
         if is_odd and best.kind == "kicks" and _explains_alike(best, table.base, criteria):
             return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
         if is_odd and not is_forced:
-            return _unless_swamped(table, Decision("the noise is not as assumed", "noise_explains"))
+            told = Decision("the noise is not as assumed", "noise_explains")
+            return _unless_swamped(table, told, criteria)
         seen = None if is_forced and best.kind == "noise" else best
         return Decision("seen, not adopted", "no_better_than_before", seen, False, rivals)
     if _is_refused(best, criteria):
@@ -138,9 +140,17 @@ def _cause_before_kicks(best, candidates):
     )  # fmt: skip
 
 
-def _unless_swamped(table, decision):
-    """A decision that all is noise, unless such noise is about as large as the motion."""
-    return Decision("cannot tell", "swamped") if table.swamped > SWAMPED else decision
+def _unless_swamped(table, decision, criteria):
+    """A decision that all is noise, unless such noise is about as large as the motion.
+
+    Such noise is one account of the motion; a cause that is as likely is another.
+    """
+    if not table.swamped > SWAMPED:
+        return decision
+    least = table.base.log_posterior - criteria.noise_nats
+    likely = (row for row in table.candidates if row.log_posterior > least)
+    cause = next((row for row in likely if row.kind in FORESEEING), None)
+    return Decision("cannot tell", "kinds_tie" if cause else "swamped", cause)
 
 
 def share_of_listed(table, best):

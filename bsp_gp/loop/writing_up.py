@@ -197,9 +197,10 @@ def is_idle(rounds, removed, ratio):
     end = rounds[-1].decision
     is_open = end.verdict in ("seen, not adopted", "cannot tell") and not end.is_adopted
     # A memory of the noise is an account, unless it is as large as the motion.
-    moving = ("kicks",) if end.reason == "swamped" else ("kicks", "noise")
+    is_tied = end.reason == "kinds_tie"
+    moving = ("kicks",) if end.reason == "swamped" or is_tied else ("kicks", "noise")
     moves = any(foresees(best) or best.kind in moving for best in found)
-    return bool(found) and is_open and not moves and not ratio.value < NO_BETTER
+    return bool(found) and is_open and not moves and (is_tied or not ratio.value < NO_BETTER)
 
 
 def _kept(rounds, removed):

@@ -306,7 +306,8 @@ def _tied(done, dataset):
         if row["code"] not in (best.code, "base") and row["status"] != "linearised"
     ]
     told = others[:2] + [row for row in others[2:] if _finite(row["probability"]) > likely]
-    if best.kind == "kicks" and not any(_finite(row["probability"]) > likely for row in others):
+    is_likely = any(_finite(row["probability"]) > likely for row in others)
+    if not done.adopted or (best.kind == "kicks" and not is_likely):
         told = [{"code": "noise", "law": ""}]  # of the base: what is kicked in a trap wanders so
     return tuple(dict.fromkeys(_called(row, dataset) for row in told))
 

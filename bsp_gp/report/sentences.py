@@ -151,6 +151,8 @@ def verdict_parts(report):
         text = "Something is missing from the declared model, but these data cannot tell whether "
         detail = "The law was taken up for predictions."
         return f"{text}it is {_joined(_either(r) for r in adopted)}.", detail
+    if report.verdict == "cannot tell" and last is not None and last.undecided:
+        return f"These data cannot tell whether it is {_either(last)}.", ""
     if report.verdict == "cannot tell":
         if last is not None and last.is_missing:
             text = "Something is missing from the declared model, but these data cannot tell what."

@@ -111,6 +111,16 @@ def test_noise_as_large_as_the_motion_is_none(p, noise_p, verdict):
             assert (said.reason == "swamped") == (told == "cannot tell")
 
 
+def test_a_cause_as_likely_as_noise_that_is_as_large_as_the_motion_is_named():
+    for gain, reason in ((16.0, "kinds_tie"), (5.0, "swamped")):
+        table = HypothesisTable((BASE, row(1, gain=gain)), 0.5, 1.0, swamped=0.4)
+        said = decide(table.with_probabilities())
+        assert (said.verdict, said.reason, said.is_adopted) == ("cannot tell", reason, False)
+        assert (said.best is None) == (reason == "swamped")
+    small = HypothesisTable((BASE, row(1, gain=16.0)), 0.5, 1.0, swamped=0.02)
+    assert decide(small.with_probabilities()).verdict == "nothing missing"
+
+
 def test_a_failed_fit_is_never_nothing_missing():
     for status in ("nonfinite", "unconverged", "aliased"):
         said = decided(base=replace(BASE, status=status), p=np.nan)
