@@ -1,5 +1,7 @@
 """An unseen body in words: how strong it is, where, and what is known of its motion."""
 
+import re
+
 from bsp_gp.report.companion import companion_of
 from bsp_gp.report.numbers import format_number, format_value, with_unit
 
@@ -67,5 +69,7 @@ def rivals_of(equivalents):
 
 def _told(text):
     if text.endswith("of a companion"):
-        return "an unseen companion " + ("on a circle" if " cos(" in text else "on an ellipse")
+        shapes = {"cos": "on a circle", "Kepler": "on an ellipse"}
+        told = " and another ".join(shapes[of] for of in re.findall(r" (cos|Kepler)\(", text))
+        return f"an unseen companion {told}{' beside a steady change' * ('trend' in text)}"
     return _MOTIONS.get(text.partition(":")[0], text)

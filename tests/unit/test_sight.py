@@ -9,6 +9,7 @@ from bsp_gp.fitting.hypothesis import Parameter
 from bsp_gp.fitting.parts.orbits import Orbit, Trend
 from bsp_gp.loop.close import close_loop
 from bsp_gp.report.summary import summary_text
+from bsp_gp.report.unseen_body import rivals_of
 
 DAY = 86400.0
 NAMES = ("P", "K", "longitude", "e", "omega")
@@ -76,6 +77,19 @@ def test_a_trend_is_steady():
     value, slopes = bent.added(np.array([5.0, 7.0]), {"trend1": 3.0, "bend1": 0.5})
     assert value.tolist() == [0.0, 7.0] and slopes.tolist() == [[0.0, 2.0], [0.0, 2.0]]
     assert bent.describe() == "trend1 t + bend1 t^2 / 2"
+
+
+def test_rivals_are_told_with_all_of_their_companions():
+    texts = (
+        "v = V + K1 cos(2 pi t / P1) of a companion",
+        "v = V + K1 Kepler(2 pi t / P1) of a companion + K2 cos(2 pi t / P2) of a companion",
+        "v = V + trend1 t + K1 Kepler(2 pi t / P1) of a companion",
+    )  # fmt: skip
+    assert rivals_of(texts) == (
+        "an unseen companion on a circle",
+        "an unseen companion on an ellipse and another on a circle",
+        "an unseen companion on an ellipse beside a steady change",
+    )
 
 
 def test_what_is_read(tmp_path, rng):
