@@ -332,8 +332,11 @@ def variants(view):
 
 
 def _kinds(view):
-    """Variants of a push that is the same everywhere, then of one as an oscillating trap has it."""
-    for is_placed in (False, True):
+    """Variants of a push that is the same everywhere, then of one as an oscillating trap has it.
+
+    There is no such trap in the sky.
+    """
+    for is_placed in (False,) if view.is_sky else (False, True):
         for variant in variants(view):
             yield variant, is_placed
 
