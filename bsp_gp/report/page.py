@@ -81,6 +81,9 @@ def page_of(report):
         if r.effect is not None:
             if r.effect.kind == "hidden_body":
                 r.effect.name = name_of(r.effect)
+            elif r.effect.code in KICKED:  # anew, in the units of the data
+                own = {"name": done.effect.name, "code": r.effect.code}
+                r.effect.name = kick(SimpleNamespace(constants=r.effect.constants, **own))
             law, rivals = r.effect.written or "", rivals_of(r.effect.equivalents)
             tried = [row["law"] for row in done.hypotheses if row["status"] == "converged"]
             r.effect.dependence = dependence(law, rivals, tried, page.dataset)

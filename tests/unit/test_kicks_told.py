@@ -2,7 +2,12 @@
 
 from types import SimpleNamespace
 
+import numpy as np
+
+from bsp_gp import load_dataset
+from bsp_gp.loop.close import close_loop
 from bsp_gp.report.kicks import kick
+from bsp_gp.report.summary import summary_text
 
 
 def effect_of(*kicks):
@@ -36,6 +41,19 @@ def test_a_kick_at_a_date_is_told_to_the_day():
     instant = effect.constants[1]
     instant.low, instant.high = instant.value - 86400.0, instant.value + 86400.0
     assert "at 2.1260123 × 10¹¹ s" in kick(effect)
+
+
+def test_a_kick_is_told_in_the_units_of_the_data(tmp_path):
+    rng = np.random.default_rng(4)
+    times = np.arange(30.0)
+    places = 0.4 * times + 1.5 * np.maximum(times - 12.5, 0.0) + rng.normal(0, 0.02, 30)
+    rows = [f"{t},{x:.4f},{0.7 * t + 0.02 * rng.normal():.4f}"
+            for t, x in zip(times, places, strict=True)]  # fmt: skip
+    file = tmp_path / "buoy.csv"
+    file.write_text("\n".join(["t (day),x (km),y (km)", *rows]) + "\n", encoding="utf-8")
+    report = close_loop(load_dataset(file), "nothing", rng=rng, n_bootstrap=0)
+    text = " ".join(summary_text(report).split())
+    assert "jumps by 1.5 km/day at 12.5 day" in text
 
 
 def test_two_bodies_that_are_kicked_at_once_against_each_other_collide():
