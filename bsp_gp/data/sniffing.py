@@ -54,6 +54,7 @@ MOST_SHOWN = 6
 _DELIMITERS = (",", ";", "\t", None)
 DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 _BRACKETS = re.compile(r"[(\[].*[)\]]")
+_VELOCITIES = "--columns t=1 rv=2 srv=3 of velocities along the line of sight"
 _DIALECT = re.compile(r"^\ufeff?\"?sep=", re.IGNORECASE)
 """The line by which Excel is told of a delimiter."""
 
@@ -320,7 +321,9 @@ def _remedy_of_numbers(cells, lines, delimiter):
     if _is_calendar(columns):
         return ("write what stands in several columns into one, dates as 2024-01-31T12:00:00 and "
                 "angles as 12:34:56.7, below names such as t,ra,dec or t,x,y")  # fmt: skip
-    if unit or _are_velocities([columns[k] for k in (1, 2, 3) if k in columns]):
+    if not unit and _are_velocities([columns[k] for k in (1, 2, 3) if k in columns]):
+        by_number = f"{_VELOCITIES} and their errors, or --columns t=1 x=2 y=3 of places"
+    elif unit:
         by_number = _beside_dates(columns)
         by_number += " with --units t=yr where dates are years" if unit == "yr" else ""
     elif clocks:
@@ -349,8 +352,7 @@ def _beside_dates(columns):
     named = [f"{own} s{own[0]}={k}" for own, k in zip(named, errors, strict=True)] or named
     options = [f"--columns t=1 {' '.join(named)}"]
     if 3 in sure:
-        beside = "--columns t=1 rv=2 srv=3 of velocities along the line of sight"
-        options.insert(len(errors) - 1, beside)
+        options.insert(len(errors) - 1, _VELOCITIES)
     told = f" ({' and '.join(map(str, errors))} being errors)" if errors else ""
     return ", or ".join(options) + told
 

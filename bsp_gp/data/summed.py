@@ -268,7 +268,7 @@ def _told(rates, is_short, is_split):
     return (
         f"places are sums of {many} ({listed}): errors add up from row to row, and where a "
         f"track lies is not known; its middle counts as 0{start}"
-        + (f"; rows without a {one}, or of pieces that are too short, are left out"
+        + (f"; rows without any {one}, or of pieces that are too short, are left out"
            if is_short else "")
         + ("; behind a gap a track begins anew, as a scene of its own" if is_split else "")
     )  # fmt: skip

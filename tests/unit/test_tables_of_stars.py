@@ -62,6 +62,8 @@ def test_commas_of_a_comment_part_no_rows_and_its_words_name_no_other_columns(tm
     data = load_dataset(path)
     assert data.is_of_sight and data.scenes[0].sigma[:, 0, 0] == pytest.approx(ERRORS)
     assert np.ptp(data.scenes[0].times) == pytest.approx(86400 * np.ptp(NIGHTS))
+    path = written(tmp_path, ["JD - 2,450,000,RV (m/s),sigma", *rows(NIGHTS, SPEEDS, ERRORS)])
+    assert load_dataset(path).is_of_sight
 
 
 @pytest.mark.parametrize("title", [[], ["Made up (Nobody et al. 2023)"]])
