@@ -12,7 +12,7 @@ _MOST_IN_RULES = 12
 _WIDE_GAP = re.compile(r"\s{2,}|\t")
 _BEFORE_BRACKET = re.compile(r"\s+(?![(\[]|-\d)")
 """Nor before what a date counts from, ``JD -2,450,000``."""
-_THOUSANDS = re.compile(r"(?<=\d),(?=\d{3}(?!\d))")
+_THOUSANDS = re.compile(r"(?<=[^\W\d])\s*[-−–]\s*\d{1,3}(?:,\d{3})+")
 """``JD - 2,450,000``."""
 _OPEN, _CLOSED = "([{", ")]}"
 
@@ -68,7 +68,8 @@ def names_in(head, number, delimiter, said=()):
         found = [_WIDE_GAP.split(bare), _BEFORE_BRACKET.split(bare)]
         found += [[part for wide in found[0] for part in _BEFORE_BRACKET.split(wide)]]
     else:
-        found = [_outside_brackets(_THOUSANDS.sub("", bare), delimiter)] * (len(cells) > count)
+        bare = _THOUSANDS.sub(lambda since: since[0].replace(",", ""), bare)
+        found = [_outside_brackets(bare, delimiter)] if len(cells) > count else []
     return next((tuple(names) for names in found if len(names) == count), cells)
 
 
