@@ -3,14 +3,17 @@
 import csv
 import re
 
-COMMENT = re.compile(r"^\ufeff?[#%]\s*")
-_SENTENCE = re.compile(r"^\ufeff?[#%]+\s*[^\W\d][\w ]*:(?:\s|$)")
-"""A comment that says something, ``# Instruments: Keck, Lick``: no names of columns."""
+COMMENT = re.compile(r"^\ufeff?(?:[#%!]|//)\s*")
+_SENTENCE = re.compile(r"^\ufeff?(?:[#%!]+|//)\s*[^\W\d][\w ]*[:=](?:\s|$)")
+"""A comment that says something, ``# Instruments: Keck, Lick``, ``# url = ...``: no names."""
 _RULE = re.compile(r"\s*[-=]+(?:[\s|+]+[-=]+)*\s*")
 _MOST_IN_RULES = 12
 """Lines between two rules that may be names of columns."""
 _WIDE_GAP = re.compile(r"\s{2,}|\t")
-_BEFORE_BRACKET = re.compile(r"\s+(?![(\[])")
+_BEFORE_BRACKET = re.compile(r"\s+(?![(\[]|-\d)")
+"""Nor before what a date counts from, ``JD -2,450,000``."""
+_THOUSANDS = re.compile(r"(?<=[^\W\d])\s*[-−–]\s*\d{1,3}(?:,\d{3})+")
+"""``JD - 2,450,000``."""
 _OPEN, _CLOSED = "([{", ")]}"
 
 
@@ -27,13 +30,13 @@ def is_rule(line):
 
 
 def is_sentence(line):
-    """Whether a comment says something with a colon, and names no columns."""
+    """Whether a comment says something of a key, and names no columns."""
     return _SENTENCE.match(line) is not None
 
 
 def below(head, number):
-    """The first line with something in it below another; below a comment the first that is none."""
-    lines = [line for line in head[number + 1 :] if line.strip()]
+    """The first line with something in it, and no rule, below another; below a comment no other."""
+    lines = [line for line in head[number + 1 :] if line.strip() and not is_rule(line)]
     if COMMENT.match(head[number]):
         lines = [line for line in lines if not COMMENT.match(line)]
     return lines[0] if lines else ""
@@ -65,6 +68,7 @@ def names_in(head, number, delimiter, said=()):
         found = [_WIDE_GAP.split(bare), _BEFORE_BRACKET.split(bare)]
         found += [[part for wide in found[0] for part in _BEFORE_BRACKET.split(wide)]]
     else:
+        bare = _THOUSANDS.sub(lambda since: since[0].replace(",", ""), bare)
         found = [_outside_brackets(bare, delimiter)] if len(cells) > count else []
     return next((tuple(names) for names in found if len(names) == count), cells)
 
@@ -94,7 +98,7 @@ def ruled_names(head):
         spans = [match.span() for match in re.finditer(r"\S+", line)]
         if number == 0 or not is_rule(line) or len(spans) < 2:
             continue
-        if len(below(head, number).split()) != len(spans) or is_rule(below(head, number)):
+        if len(below(head, number).split()) != len(spans) or is_rule(head[number + 1]):
             continue
         first = next((k for k in range(number - 1, max(number - _MOST_IN_RULES, -1), -1)
                       if is_rule(head[k])), number - 2)  # fmt: skip

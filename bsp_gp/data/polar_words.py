@@ -25,7 +25,9 @@ _ERROR = _set("error err e sigma σ sig std sd unc uncertainty u fehler erreur i
 _GLUED = re.compile(r"(?:err|sigma|sig|unc|e|σ|s)_?(.+)|(.+?)_?(?:error|err|sigma|sig|unc)")
 """``erho``, ``σθ``, ``PAerr``: an error without a blank."""
 _YEAR = _set("year years yr jahr jahre année anno año jyear byear besselian bessel julian decimal")
-_DAY = _set("jd mjd hjd bjd julian jdtdb jdut jdutc jdtt tdb tt utc")
+_DAY = _set("jd mjd hjd bjd rjd jdb btjd bkjd julian jdtdb jdut jdutc jdtt tdb tt utc")
+_SINCE = re.compile(r"\s*[-−–]\s*\d[\d.,]{3,}$")
+"""What Julian dates count from: ``BJD-2450000``, ``JD - 2,450,000``."""
 _DATE = _set("date datetime epoch ep obs observed observation of time day days t") | _YEAR | _DAY
 
 
@@ -92,7 +94,7 @@ def date_unit(text):
     >>> date_unit("observer") is None
     True
     """
-    words = plain_words(text)
+    words = plain_words(_SINCE.sub("", text))
     if not words or not words <= _DATE or words <= _set("obs observed of"):
         return None
     return "yr" if words & _YEAR else "day" if words & _DAY else ""

@@ -363,7 +363,7 @@ def _all_accelerations(table, declaration):
         and not (theirs[n].startswith("A_") and not units[n])
     ]  # fmt: skip
     parts = [name for name in found if not _words(theirs[name]) & _WHOLE] or found
-    axes = [_axis_in(theirs[name]) for name in parts]
+    axes = [_axis_in(theirs[name]) or _axis_in(name) for name in parts]
     if len(set(axes) - {""}) < len(axes):
         lone = _lone(table, parts)
         if len(lone) > 1:

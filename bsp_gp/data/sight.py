@@ -41,7 +41,9 @@ LEAST_DATE, UNEVEN = 1000.0, 3.0
 nights, in their lower one, at the least."""
 SUREST = 0.1
 """Errors below which numbers without a unit are km/s: no spectrograph knows m/s so well."""
-_ERRORS = frozenset("errvel velerr svrad sigrv rverr errrv erv urv rvunc drv".split())
+_ERRORS = frozenset("errvel velerr svrad sigrv rverr errrv erv urv rvunc drv ccfnoise".split())
+_OF_SPECTRA = frozenset("drift bis biss bisector span contrast fwhm".split())
+"""Words of what is measured beside such a velocity, of the lines and of the spectrograph."""
 
 
 def sighted(table):
@@ -153,12 +155,12 @@ def _of_nights(table, texts):
 
 def _are_nights(table):
     """Whether times are Julian dates, whatever they count from, of nights and not of a clock."""
-    times = table.frame.get("t")
+    times, is_told = table.frame.get("t"), is_julian(table.theirs.get("t", ""))
     if times is None or not pd.api.types.is_numeric_dtype(times) or len(times) < FEWEST:
         return False
     if table.is_dated or table.units.get("t", "day").lower() not in ("d", "day", "days", "jd"):
         return False
-    if times.between(*JULIAN).all():
+    if times.between(*JULIAN).all() or is_told:
         return True
     low, high = times.diff().quantile([0.25, 0.75])
     return bool(times.min() >= LEAST_DATE and high > UNEVEN * low)
@@ -166,9 +168,9 @@ def _are_nights(table):
 
 def is_of_sight(heading):
     """Whether a heading is that of a velocity along the line of sight, and of nothing else."""
-    words = words_of(heading)
+    words = {word.rstrip("0123456789") for word in words_of(heading)}
     is_named = bool(words & RADIAL_NAMES) or {"radial", "velocity"} <= words
-    return is_named and not is_doubt(heading)
+    return is_named and not (is_doubt(heading) or words & _OF_SPECTRA)
 
 
 def along_sight(table, declaration, column):

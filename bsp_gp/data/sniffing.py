@@ -22,6 +22,7 @@ from bsp_gp.data.header_lines import (
 )
 from bsp_gp.data.headings import (
     TEXT_COLUMNS,
+    UNKNOWN,
     Heading,
     has_place,
     headings,
@@ -45,11 +46,15 @@ _SAME_UNIT = 1e-3
 OLD, UNEVEN = 5.0, 2.0
 """How many times the span of a clock its first value is from 0 at least, if that is a date; and the
 upper quartile of its steps, in the lower one, at least."""
+LEAST_DATE, SMALL = 1000.0, 0.3
+"""Days that Julian dates count from a later zero, at the least; and errors in the span of what is
+measured, at the most."""
 MOST_SHOWN = 6
 """Cells of a row that a complaint shows."""
 _DELIMITERS = (",", ";", "\t", None)
 DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 _BRACKETS = re.compile(r"[(\[].*[)\]]")
+_VELOCITIES = "--columns t=1 rv=2 srv=3 of velocities along the line of sight"
 _DIALECT = re.compile(r"^\ufeff?\"?sep=", re.IGNORECASE)
 """The line by which Excel is told of a delimiter."""
 
@@ -119,7 +124,9 @@ def sniff(head, rename, marks, path):
     number, delimiter = _likely_header(head)
     cells = names_in(head, number, delimiter, said)
     cells = _without_idle_end(head, number, delimiter, cells)
-    _require_names_of_all(head, number, delimiter, cells, path)
+    found = headings(cells, rename, is_track=is_track)
+    if COMMENT.match(head[number]) and is_track:
+        _require_names_of_all(head, number, found, path)
     n_numbers, n_filled = sum(map(_is_number, cells)), len(list(filter(None, cells)))
     if n_numbers and (n_numbers == n_filled or 2 * n_numbers > len(cells) > 2):
         raise DataError(
@@ -127,7 +134,7 @@ def sniff(head, rename, marks, path):
             "expected",
             file=path, row=number + 1, remedy=_remedy_of_numbers(cells, head[number:], delimiter),
         )  # fmt: skip
-    return _finish(head, number, delimiter, headings(cells, rename, is_track=is_track))
+    return _finish(head, number, delimiter, found)
 
 
 def _without_header(head, rename):
@@ -203,7 +210,7 @@ def _named_by_place(rows, rename):
     is_timed = all(early < late for early, late in zip(times, times[1:], strict=False))
     if not 2 <= len(kept) <= 4 or not is_timed or _are_places(rows[0]):
         return {}
-    if are_within(times[0], times[-1], (JULIAN,)):
+    if are_within(times[0], times[-1], (JULIAN,)) or _are_velocities([columns[n] for n in kept]):
         return {}  # what stands beside dates is asked for
     clocks = clocks_among([columns[n] for n in kept])
     if clock_among([columns[n] for n in kept]) not in (0, None) or len(clocks) > 1:
@@ -286,16 +293,18 @@ def _last_digit(cells):
     return 10.0 ** min(*ends, MOST_POWER)
 
 
-def _require_names_of_all(head, number, delimiter, cells, path):
-    """DataError where a comment names some of the columns: nobody knows which."""
-    row = split_line(below(head, number), delimiter) if COMMENT.match(head[number]) else ()
-    if len(row) > len(cells) and all(_is_number(cell or "0") for cell in row):
+def _require_names_of_all(head, number, found, path):
+    """DataError where a comment names others than the columns of numbers: nobody knows which."""
+    lines = [line for line in head[number:] if line.strip() and not COMMENT.match(line)]
+    rows, delimiter = _rows_of_numbers(lines, set())
+    is_named = any(h.sure != UNKNOWN or h.is_renamed for h in found)
+    if rows and len(rows[0]) > 1 and not (is_named and len(rows[0]) <= len(found)):
+        row = rows[0]
         raise DataError(
-            f"the header has {len(cells)} name(s), and the rows have {len(row)} columns; the first "
-            f"row is {' '.join(row[:MOST_SHOWN])}{' ...' if len(row) > MOST_SHOWN else ''}",
-            file=path, row=number + 1,
-            remedy="say which column is which by its number: --columns t=2 x=3 (and scene=1 of "
-            "recordings below each other; of an angle, theta=3 --units theta=rad t=s)",
+            f"the comment above has {len(found)} name(s), of columns or of anything, and the rows "
+            f"have {len(row)} columns; the first row is {' '.join(row[:MOST_SHOWN])}"
+            f"{' ...' if len(row) > MOST_SHOWN else ''}",
+            file=path, row=number + 1, remedy=_remedy_of_numbers(row, lines, delimiter),
         )  # fmt: skip
 
 
@@ -309,12 +318,13 @@ def _remedy_of_numbers(cells, lines, delimiter):
     columns = _columns_of(lines, delimiter, cells)
     clocks = clocks_among(list(columns.values()))
     unit = _unit_of_dates(columns.get(1, ())) if len(columns) > 2 else ""
-    if unit:
-        of_y = " y=4 sy=5" * ({4, 5} <= {*columns})
-        by_number = (
-            f"--columns t=1 x=2 sx=3{of_y}, or t=1 rv=2 srv=3 of velocities along the line of "
-            f"sight ({'the third and the fifth' if of_y else 'the third'} being their errors)"
-        )
+    if _is_calendar(columns):
+        return ("write what stands in several columns into one, dates as 2024-01-31T12:00:00 and "
+                "angles as 12:34:56.7, below names such as t,ra,dec or t,x,y")  # fmt: skip
+    if not unit and _are_velocities([columns[k] for k in (1, 2, 3) if k in columns]):
+        by_number = f"{_VELOCITIES} and their errors, or --columns t=1 x=2 y=3 of places"
+    elif unit:
+        by_number = _beside_dates(columns)
         by_number += " with --units t=yr where dates are years" if unit == "yr" else ""
     elif clocks:
         by_number = _by_clock(columns, [list(columns)[k] for k in clocks])
@@ -322,11 +332,46 @@ def _remedy_of_numbers(cells, lines, delimiter):
         by_number = "--columns x=1 y=2 --fps 25 (no column increases from row to row: if every row "
         by_number += "is a frame, that says how many are in a second)"
     else:
-        by_number = "--columns t=1 x=2 (t=2 x=3 where the first counts rows or bodies"
+        moved = {k: _steps(own) for k, own in columns.items()}
+        t = next((k for k, own in columns.items() if _rises(own, RISES)), 1)
+        x = min(columns.keys() - {t}, default=2,
+                key=lambda k: (not any(n % 1 for n in moved[k]), not any(moved[k]), k))  # fmt: skip
+        by_number = f"--columns t={t} x={x} (t=2 x=3 where the first counts rows or bodies"
         by_number += "; t=1 ax=2 ay=3 az=4 of accelerations)" if len(cells) > 3 else ")"
     if _are_places(cells):
         by_number += ", if that line is a row; if it numbers the columns itself, --columns t=0 x=1"
     return remedy + by_number
+
+
+def _beside_dates(columns):
+    """How columns are said by their numbers beside dates: of errors none is below 0."""
+    sure = {k for k, own in columns.items() if all(n > 0 for n in _numbers(own))}
+    errors = next((own for own in ((3, 5), (4, 5), (3,)) if {*own} <= sure), ())
+    places = [k for k in (2, 3, 4) if k in columns and k not in errors][: len(errors) or 2]
+    named = [f"{axis}={k}" for axis, k in zip("xy", places, strict=False)]
+    named = [f"{own} s{own[0]}={k}" for own, k in zip(named, errors, strict=True)] or named
+    options = [f"--columns t=1 {' '.join(named)}"]
+    if 3 in sure:
+        options.insert(len(errors) - 1, _VELOCITIES)
+    told = f" ({' and '.join(map(str, errors))} being errors)" if errors else ""
+    return ", or ".join(options) + told
+
+
+def _are_velocities(columns):
+    """Whether columns may be dates of nights, what is measured then, and its small errors."""
+    if len(columns) < 3 or len(columns[0]) <= LEAST_STEPS:
+        return False
+    dates, values, errors = (np.array(_numbers(cells)) for cells in columns[:3])
+    low, high = np.quantile(np.diff(dates), [0.25, 0.75])
+    is_dated = dates[0] >= LEAST_DATE and high > UNEVEN * low and (dates % 1).any()
+    return bool(is_dated and (errors > 0).all() and np.median(errors) < SMALL * np.ptp(values))
+
+
+def _is_calendar(columns):
+    """Whether years, months and days stand side by side."""
+    ranges = zip((1, 2, 3), ((1800, 2100), (1, 12), (1, 31)), strict=True)
+    return all(k in columns and all(low <= n <= high and n % 1 == 0 for n in _numbers(columns[k]))
+               for k, (low, high) in ranges)  # fmt: skip
 
 
 def _unit_of_dates(cells):
@@ -417,7 +462,10 @@ def _likely_header(head):
             is_row = len(row) == len(cells) > 1 and all(_is_number(c or "0") for c in row)
             is_named = not any(map(_is_number, cells)) and not is_rule(head[number])
             if is_row and any(row) and is_named:
-                is_of_units = all(_BRACKETS.fullmatch(cell) for cell in cells if cell)
+                above = header_cells(head[number - 1], delimiter) if number else ()
+                is_of_units = all(_BRACKETS.fullmatch(cell) for cell in cells if cell) or (
+                    len(above) == len(cells) and all(map(is_unit, filter(None, cells)))
+                )
                 return (number - 1 if is_of_units and number else number), delimiter
     filled = [k for k, line in enumerate(head) if line.strip()]
     is_plain = comments and any(_names_cells(head, first, mark) for mark in _DELIMITERS)

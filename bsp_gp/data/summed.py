@@ -195,10 +195,12 @@ def _pieces(table, times, values, rates):
     far, twice, good = [], [], np.isfinite(values).all(axis=1)
     for rows in groups.values():
         rows = rows[good[rows]]
-        again = rows[1:][times[rows[1:]] <= np.fmax.accumulate(times[rows])[:-1]]
-        if 0 < len(again) <= max(MOST_SLIPS * len(rows), 1):
-            good[again], twice = False, [*twice, *table.frame.index[again].tolist()]
-            rows = rows[good[rows]]
+        is_copy = (np.diff(np.column_stack([times, values])[rows], axis=0) == 0).all(axis=1)
+        is_late = times[rows[1:]] <= np.fmax.accumulate(times[rows])[:-1]
+        is_few = (is_late & ~is_copy).sum() <= max(MOST_SLIPS * len(rows), 1)
+        again = rows[1:][is_late & is_few | is_copy]
+        good[again], twice = False, [*twice, *table.frame.index[again].tolist()]
+        rows = rows[good[rows]]
         back = np.flatnonzero(np.diff(times[rows]) <= 0)
         if len(back):
             problem = f"times must increase from {one} to {one} of a body"
@@ -266,7 +268,7 @@ def _told(rates, is_short, is_split):
     return (
         f"places are sums of {many} ({listed}): errors add up from row to row, and where a "
         f"track lies is not known; its middle counts as 0{start}"
-        + (f"; rows without a {one}, or of pieces that are too short, are left out"
+        + (f"; rows without any {one}, or of pieces that are too short, are left out"
            if is_short else "")
         + ("; behind a gap a track begins anew, as a scene of its own" if is_split else "")
     )  # fmt: skip

@@ -241,7 +241,7 @@ def test_a_time_that_is_absurdly_far_off_is_no_crash():
     t = np.arange(14.0)
     t[9:] += 1e20
     with pytest.raises(DataError, match="times must increase"):
-        Dataset.from_frames(pd.DataFrame({"t (s)": t, "v (m/s)": np.cos(t % 7)}))
+        Dataset.from_frames(pd.DataFrame({"t (s)": t, "v (m/s)": np.cos(np.arange(14.0))}))
     t = np.append(1e-9 * np.arange(9), 1e20 * np.arange(1, 9))
     Dataset.from_frames(pd.DataFrame({"t (s)": t, "v (m/s)": np.cos(np.arange(17.0))}))
 

@@ -164,8 +164,8 @@ def test_places_on_the_sky_are_as_sure_as_their_last_digits(tmp_path, form):
 @pytest.mark.parametrize(
     "count, told",
     [
-        (3, "t=1 x=2 sx=3, or t=1 rv=2 srv=3 of"),
-        (5, "t=1 x=2 sx=3 y=4 sy=5, or t=1 rv=2 srv=3 of"),
+        (3, "t=1 rv=2 srv=3 of velocities along the line of sight, or --columns t=1 x=2 sx=3"),
+        (5, "t=1 x=2 sx=3 y=4 sy=5, or --columns t=1 rv=2 srv=3 of"),
     ],
 )
 def test_years_beside_errors_without_names_are_told_as_such(tmp_path, count, told):
