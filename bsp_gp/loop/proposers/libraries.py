@@ -139,20 +139,20 @@ class Rows:
 
     def __init__(self, view, rows, names=()):
         self.view, self.rows, self.names = view, rows, names
-        is_moving = [bool(set(names) & set(formula.constants)) for formula, _ in rows]
-        self._moving = np.flatnonzero(is_moving)
-        terms = [Term(rows[k][0], "field") for k in self._moving]
-        self._instants = view.response.regression.instants(terms) if terms else []
+        is_moving = np.array([bool(set(names) & set(formula.constants)) for formula, _ in rows])
+        regression = view.response.regression
+        states = max(sum(batch.target.size for batch in regression.batches), 1)
+        self.n_at_once = max(MOST_AT_ONCE // states, 1)  # terms, or places of them
+        moving = np.flatnonzero(is_moving)
+        self._moving = [
+            (some, regression.instants([Term(rows[k][0], "field") for k in some]))
+            for some in np.split(moving, range(self.n_at_once, len(moving), self.n_at_once))
+            if len(some)
+        ]  # fmt: skip
         self._still = np.full((len(view.left), len(rows)), np.nan)
-        for k in np.flatnonzero(np.logical_not(is_moving)):
+        for k in np.flatnonzero(~is_moving):
             with suppress(EvaluationError):  # it grows beyond all numbers
                 self._still[:, [k]] = view.force_columns([rows[k][0]])
-
-    @property
-    def n_at_once(self):
-        """Places whose moments are taken together."""
-        states = sum(b.target.size for b in self.view.response.regression.batches)
-        return max(MOST_AT_ONCE // max(states * len(self._moving), 1), 1)
 
     def moments(self, places):
         """Moments beside the law of all terms about places (P, k), shape (P, n, c).
@@ -160,11 +160,9 @@ class Rows:
         0 where the law takes a term up, or it grows beyond all numbers.
         """
         columns = np.repeat(self._still[:, None], len(places), axis=1)
-        if self._instants:
-            known = dict(zip(self.names, np.transpose(places), strict=True))
-            columns[..., self._moving] = self.view.response.regression.columns_at(
-                self._instants, known
-            )
+        known = dict(zip(self.names, np.transpose(places), strict=True))
+        for some, instants in self._moving:
+            columns[..., some] = self.view.response.regression.columns_at(instants, known)
         columns = np.where(np.isfinite(columns).all(axis=0), columns, 0.0)
         flat = columns.reshape(len(columns), -1)
         beside = self.view.beside(flat)
@@ -200,12 +198,12 @@ class Placed:
         )
         lesser, _ = view.lesser(MOST_WEIGHTS)  # by which the place is sought
         self._sought = Rows(lesser, rows, names)
-        self.rows = self._sought if lesser is view else Rows(view, rows, names)
+        self._rows = self._sought if lesser is view else Rows(view, rows, names)
 
     def library(self, at):
         """The terms about a place; None where none is left beside the law."""
         at = tuple(map(float, at))
-        found = self.rows.library(at)
+        found = self._rows.library(at)
         return found and replace(found, places=self.places, at=at)
 
     def best_on_line(self):
@@ -232,10 +230,11 @@ class Placed:
         out = np.full(len(places), float(view.left @ view.left))
         low, high = np.transpose(self.extents)
         within = np.flatnonzero(((places >= low) & (places <= high)).all(axis=1))
-        for first in range(0, len(within), sought.n_at_once):
+        n_at_once = max(sought.n_at_once // len(sought.rows), 1)
+        for first in range(0, len(within), n_at_once):
             if self.view.tick is not None:
                 self.view.tick()
-            some = within[first : first + sought.n_at_once]
+            some = within[first : first + n_at_once]
             out[some] = [left_by(view, columns) for columns in sought.moments(places[some])]
         return out
 
