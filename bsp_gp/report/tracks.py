@@ -18,6 +18,7 @@ from bsp_gp.report.drawing import (
     tidy,
     time_scaled,
 )
+from bsp_gp.units import is_speed
 
 MAX_PANELS = 9
 GIDS = ("before", "after")
@@ -155,7 +156,7 @@ def draw_tracks(figure, overlays, length_unit, time_unit, has_adopted):
             curves.append(coordinates(values))
             panel.plot(*curves[-1], color=color, ls=style, lw=1.3, zorder=3, gid=gid)
         _set_limits(panel, (x, y), curves, len(axes) == 2)
-        names = ["xyz"[k] for k in axes]
+        names = ["velocity"] if is_speed(length_unit) else ["xyz"[k] for k in axes]
         panel.set_title(_title(overlay), loc="left")
         across = (names[0], unit) if len(axes) == 2 else ("time", t_unit)
         panel.set_xlabel(axis_label(*across))
