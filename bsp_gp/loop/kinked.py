@@ -59,7 +59,8 @@ def in_parts(dataset, found):
             return None
         ((k, some),) = own.items()
         edges[scene.name] = np.searchsorted(scene.times, [kink.time for kink in some]).tolist()
-        told += [_told(scene, k, kink, dataset.units) for kink in some]
+        where = f" in {scene.name!r}" if len(dataset.scenes) > 1 else ""
+        told += [_told(scene, k, kink, dataset.units) + where for kink in some]
     if not told:
         return None
     note = (
