@@ -7,6 +7,8 @@ import numpy as np
 
 from bsp_gp.fitting.whitening import gaps_of
 
+_BY_ROW = ("times", "seen", "quoted", "speed")
+
 
 @dataclass(frozen=True, eq=False)
 class Channels:
@@ -91,13 +93,12 @@ class Channels:
 
     def at_rows(self, rows):
         """The same at some rows of every channel, ndarray of int."""
-        named = ("times", "seen", "quoted", "speed")
-        own = {n: getattr(self, n) for n in named}
+        own = {n: getattr(self, n) for n in _BY_ROW}
         return replace(self, **{n: None if v is None else v[rows] for n, v in own.items()})
 
     def only(self, kept):
         """Some of the channels; `kept` is an array of bool, shape (C,)."""
-        rows = {n: getattr(self, n) for n in ("times", "seen", "quoted", "speed")}
+        rows = {n: getattr(self, n) for n in _BY_ROW}
         own = {n: getattr(self, n)[kept] for n in ("axis", "body", "scene", "chain")}
         rows = {n: None if v is None else v[:, kept] for n, v in rows.items()}
         return replace(self, **rows, **own)

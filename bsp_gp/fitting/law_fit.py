@@ -349,7 +349,8 @@ def is_misfit(found):
 def constant_estimates(found, dataset, bounds=None):
     """The constants of a fit with 90 % intervals; Student's t where the noise was estimated.
 
-    Of a positive number whose prior is logarithmic they are symmetric in its logarithm.
+    Of a number that cannot be nothing (its bound lies above 0), and whose prior is logarithmic,
+    they are symmetric in its logarithm. A strength may be nothing, and its interval may say so.
 
     Parameters
     ----------
@@ -373,7 +374,8 @@ def constant_estimates(found, dataset, bounds=None):
         units |= {p.name: text(p.unit) for p in part.parameters if p.unit is not None}
         units |= dict.fromkeys(getattr(part, "angles", ()), "rad")
         priors |= {p.name: p for p in part.parameters if part.kind == "world"}
-        positive |= {p.name for p in part.parameters if getattr(p.prior, "is_logarithmic", False)}
+        positive |= {p.name for p in part.parameters
+                     if p.low > 0 and getattr(p.prior, "is_logarithmic", False)}  # fmt: skip
     for body in found.law.unseen:
         units |= {name: dataset.units.text(unit) for name, unit in body.units.items()}
     bounds = {**{name: (p.low, p.high) for name, p in priors.items()}, **bounds}

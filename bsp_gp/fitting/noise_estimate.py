@@ -23,7 +23,6 @@ _PROMISE = 0.5
 """A part is estimated where screening promises this much of the gain that it needs."""
 _NEEDED = 0.01
 """Chance of what probes take off, below which a law lacks something that they stand for."""
-
 MOST_ROWS = 8000
 """Measured values of long tracks by which the kind of noise is told: its sizes are told by all."""
 STRETCH = 64
@@ -53,37 +52,9 @@ def estimate(model, channels, residual, columns=None, local=None, adopt=True, pa
         No row is left after what is free, though a level is to be estimated.
     """
     rows = _stretches(model, channels)
-    if rows is None:
-        return _estimate(model, channels, residual, columns, local, adopt, parts)
-    found = _estimate(model, *_at(rows, channels, residual, columns, local), adopt, parts)
-    return _sized(found, channels, residual, columns, local)
-
-
-def _stretches(model, channels):
-    """Rows of long tracks that tell the kind of their noise, ndarray of int; None for all."""
-    n_rows, n_seen = len(channels.times), int(channels.seen.sum())
-    count = n_rows * MOST_ROWS // max(n_seen, 1) // STRETCH
-    if n_seen <= MOST_ROWS or not 1 < count < n_rows // STRETCH or model.adding:
-        return None
-    firsts = np.linspace(0, n_rows - STRETCH, count).astype(int)
-    return np.unique(firsts[:, None] + np.arange(STRETCH))
-
-
-def _at(rows, channels, *arrays):
-    """Channels, and arrays (..., T, C) of theirs, at some rows."""
-    return channels.at_rows(rows), *(None if a is None else a[..., rows, :] for a in arrays)
-
-
-def _sized(model, channels, residual, columns, local):
-    """The model with the sizes that all rows tell, where no row has a weight of its own."""
-    task = NoiseTask(model, channels, residual, columns, local)
-    if not task.can_estimate or math.isfinite(model.degrees):
-        return model
-    return task.rescale(model, is_rough=True)[0]
-
-
-def _estimate(model, channels, residual, columns, local, adopt=True, parts=PARTS):
-    """As `estimate`, by all rows."""
+    if rows is not None:
+        found = estimate(model, *_at(rows, channels, residual, columns, local), adopt, parts)
+        return _sized(found, channels, residual, columns, local)
     model = model.plain() if adopt else model
     task = NoiseTask(model, channels, residual, columns, local)
     if not task.can_estimate:
@@ -109,6 +80,29 @@ def _estimate(model, channels, residual, columns, local, adopt=True, parts=PARTS
     return replace(task.averaged(model), findings=tuple(findings))
 
 
+def _stretches(model, channels):
+    """Rows of long tracks that tell the kind of their noise, ndarray of int; None for all."""
+    n_rows, n_seen = len(channels.times), int(channels.seen.sum())
+    count = n_rows * MOST_ROWS // max(n_seen, 1) // STRETCH
+    if n_seen <= MOST_ROWS or not 1 < count < n_rows // STRETCH or model.adding:
+        return None
+    firsts = np.linspace(0, n_rows - STRETCH, count).astype(int)
+    return np.unique(firsts[:, None] + np.arange(STRETCH))
+
+
+def _at(rows, channels, *arrays):
+    """Channels, and arrays (..., T, C) of theirs, at some rows."""
+    return channels.at_rows(rows), *(None if a is None else a[..., rows, :] for a in arrays)
+
+
+def _sized(model, channels, residual, columns, local):
+    """The model with the sizes that all rows tell, where no row has a weight of its own."""
+    if math.isfinite(model.degrees):
+        return model
+    task = NoiseTask(model, channels, residual, columns, local)
+    return task.rescale(model, is_rough=True)[0] if task.can_estimate else model
+
+
 def estimate_beside(model, channels, residual, columns, local, probes):
     """The noise beside probes, columns for whatever the fit's law may lack.
 
@@ -127,14 +121,14 @@ def estimate_beside(model, channels, residual, columns, local, probes):
         found = estimate_beside(model, *_at(rows, channels, residual, columns, local, probes))
         return _sized(found, channels, residual, columns, np.concatenate([local, probes]))
     both = np.concatenate([local, probes])
-    beside = _estimate(model, channels, residual, columns, both)
+    beside = estimate(model, channels, residual, columns, both)
     adopted = _adopted(beside)
     if not adopted or needs(model.plain(), channels, residual, columns, local, probes):
         return beside
-    parts = adopted & _adopted(_estimate(model, channels, residual, columns, local))
+    parts = adopted & _adopted(estimate(model, channels, residual, columns, local))
     if parts == adopted:
         return beside
-    return _estimate(model, channels, residual, columns, both, parts=parts)
+    return estimate(model, channels, residual, columns, both, parts=parts)
 
 
 def _adopted(model):
@@ -153,8 +147,7 @@ def needs(model, channels, residual, columns, local, probes):
     """
     rows = _stretches(model, channels)
     if rows is not None:
-        own = _at(rows, channels, residual, columns, local, probes)
-        return needs(model, *own)
+        return needs(model, *_at(rows, channels, residual, columns, local, probes))
     both = np.concatenate([local, probes])
     wide, plain = (
         NoiseTask(model, channels, residual, columns, c) for c in (both, local)

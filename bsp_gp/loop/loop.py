@@ -753,14 +753,14 @@ class _Turn:
         own = [p for f in self.families if f.name == row.source for p in f.proposals]
         if proposal.formulas:
             n_numbers = len(proposal.formulas[0].constants)
-            forms = [
-                _led_by(form, proposal, found, self.run.criteria) for form in own
-                if len(form.formulas) == 1 and len(form.formulas[0].constants) < n_numbers
-            ]  # fmt: skip
+            forms = [form for form in own if len(form.formulas) == 1
+                     and len(form.formulas[0].constants) < n_numbers]  # fmt: skip
         else:  # the likeliest of every size
             lesser = reversed([form for form in own if form.rank < proposal.rank])
             forms = list({form.rank: form for form in lesser}.values())
         for simpler in forms[:MOST_LIMITS]:
+            if proposal.formulas:
+                simpler = _led_by(simpler, proposal, found, self.run.criteria)
             if simpler.key in {r.key for r in self.rows if r.is_fit} or self.note_time("fits"):
                 continue
             self.run.says(f"fit of a limit: {simpler.text}")

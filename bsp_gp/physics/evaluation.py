@@ -58,38 +58,23 @@ class PreparedLaw:
         return total
 
 
-class _Program:
-    """Formulas of one kind as a list of steps on numbered values.
+class _Steps:
+    """Formulas as a list of steps on numbered values; what is known is computed at once."""
 
-    With `skips`, contacts are computed first, and after them only what forces need none of whose
-    contacts is missing.
-    """
+    def __init__(self):
+        self.start, self._inputs, self._steps, self._numbers = [], {}, {}, {}
 
-    def __init__(self, kind, formulas, bodies, constants, skips):
-        self.kind = kind
-        self.bodies = bodies
-        self.start = []
-        self._inputs = {}
-        self._steps = {}
-        self._numbers = {}
-        self._scene = law_inputs(kind, bodies, None, None, None)
-        with np.errstate(all="ignore"):
-            self._results = [self._add(formula, constants) for formula in formulas]
-        self._awaited = [
-            {self._numbers[node] for node in _contacts_of(formula)} if skips else set()
-            for formula in formulas
-        ]
-        self._contacts = sorted(set().union(*self._awaited))
-        self._first, self._known = self._plan(self._contacts, set())
-        self._plans = {}
+    def _known(self, leaf):
+        """Value of an input, a constant or a number; None where it is told later."""
+        raise NotImplementedError
 
-    def _add(self, node, constants):
+    def _add(self, node):
         """Number of a node's value; its step is put down on first sight."""
         if node in self._numbers:
             return self._numbers[node]
         value = step = None
         if isinstance(node, Call):
-            arguments = [self._add(arg, constants) for arg in node.args]
+            arguments = [self._add(arg) for arg in node.args]
             compute = OPERATORS[node.operator].evaluate
             types = tuple(arg.type for arg in node.args)
             known = [self.start[k] for k in arguments]
@@ -97,12 +82,8 @@ class _Program:
                 step = (compute, types, arguments)
             else:
                 value = compute(types, *known)
-        elif isinstance(node, Constant):
-            value = constants[node.name]
-        elif not isinstance(node, Input):
-            value = np.float64(node.value)
-        elif node.name not in (*CHANGING, *self.bodies.series.names):
-            value = self._scene[node.name]
+        else:
+            value = self._known(node)
         number = self._numbers[node] = len(self.start)
         self.start.append(value)
         if step is not None:
@@ -110,6 +91,36 @@ class _Program:
         elif value is None:
             self._inputs[number] = node.name
         return number
+
+
+class _Program(_Steps):
+    """Formulas of one kind as a list of steps on numbered values.
+
+    With `skips`, contacts are computed first, and after them only what forces need none of whose
+    contacts is missing.
+    """
+
+    def __init__(self, kind, formulas, bodies, constants, skips):
+        super().__init__()
+        self.kind, self.bodies, self._constants = kind, bodies, constants
+        self._scene = law_inputs(kind, bodies, None, None, None)
+        with np.errstate(all="ignore"):
+            self._results = [self._add(formula) for formula in formulas]
+        self._awaited = [
+            {self._numbers[node] for node in _contacts_of(formula)} if skips else set()
+            for formula in formulas
+        ]
+        self._contacts = sorted(set().union(*self._awaited))
+        self._first, self._known_first = self._plan(self._contacts, set())
+        self._plans = {}
+
+    def _known(self, leaf):
+        if isinstance(leaf, Constant):
+            return self._constants[leaf.name]
+        if not isinstance(leaf, Input):
+            return np.float64(leaf.value)
+        is_changing = leaf.name in (*CHANGING, *self.bodies.series.names)
+        return None if is_changing else self._scene[leaf.name]
 
     def _plan(self, wanted, known):
         """Inputs and steps that lead to the values wanted from those known, and their numbers."""
@@ -127,7 +138,7 @@ class _Program:
             number if awaited <= set(met) else None
             for number, awaited in zip(self._results, self._awaited, strict=True)
         ]
-        return self._plan([k for k in results if k is not None], self._known)[0], results
+        return self._plan([k for k in results if k is not None], self._known_first)[0], results
 
     def run(self, positions, velocities, times):
         """Values of the formulas; None where one is zero for want of a contact."""
@@ -162,7 +173,7 @@ def _contacts_of(formula):
     return _contacts_of(formula.args[0]) if formula.operator in ("neg", "div") else ()
 
 
-class Instants:
+class Instants(_Steps):
     """Terms of a kind at the same instants, for many values of the constants inside them.
 
     What no constant changes is computed once.
@@ -175,33 +186,18 @@ class Instants:
     """
 
     def __init__(self, terms, bodies, positions, velocities, times):
+        super().__init__()
         self._lookup = law_inputs(terms[0].kind, bodies, positions, velocities, times)
         self._settlings = [Settling(term, bodies) for term in terms]
         self._shape = (*np.shape(times), len(bodies.receivers), bodies.n_dims)
-        self._values, self._steps = [], []
-        numbers = {}
         with np.errstate(all="ignore"):
-            self._ends = [self._add(term.acceleration_formula, numbers) for term in terms]
+            self._ends = [self._add(term.acceleration_formula) for term in terms]
+        self._whole = self._inputs.items(), [(k, *step) for k, step in self._steps.items()]
 
-    def _add(self, node, numbers):
-        """Number of a node's value; a step makes it where constants change it."""
-        if node in numbers:
-            return numbers[node]
-        value = step = None
-        if isinstance(node, Call):
-            arguments = [self._add(arg, numbers) for arg in node.args]
-            step = OPERATORS[node.operator].evaluate, tuple(a.type for a in node.args), arguments
-            if node.is_constant_free:
-                value, step = step[0](step[1], *[self._values[k] for k in arguments]), None
-        elif isinstance(node, Constant):
-            step = node.name
-        else:
-            value = self._lookup[node.name] if isinstance(node, Input) else np.float64(node.value)
-        number = numbers[node] = len(self._values)
-        self._values.append(value)
-        if step is not None:
-            self._steps.append((number, step))
-        return number
+    def _known(self, leaf):
+        if isinstance(leaf, Constant):
+            return None
+        return self._lookup[leaf.name] if isinstance(leaf, Input) else np.float64(leaf.value)
 
     def accelerations(self, constants):
         """Accelerations of the terms for P values of the constants, shape (n, S, R, P, c, d).
@@ -215,15 +211,11 @@ class Instants:
         ndarray
             Not finite where a term is not.
         """
-        values, tail = self._values.copy(), (1,) * (len(self._shape) - 2 + self._lookup.tail)
+        values, tail = self.start.copy(), (1,) * (len(self._shape) - 2 + self._lookup.tail)
         n_values = len(next(iter(constants.values())))
         with np.errstate(all="ignore"):
-            for number, step in self._steps:
-                if isinstance(step, str):
-                    values[number] = np.reshape(constants[step], (-1, *tail))
-                else:
-                    compute, types, arguments = step
-                    values[number] = compute(types, *[values[k] for k in arguments])
+            _follow(self._whole, values,
+                    {name: np.reshape(own, (-1, *tail)) for name, own in constants.items()})
             out = np.empty((n_values, len(self._ends), *self._shape))
             for c, (end, settling) in enumerate(zip(self._ends, self._settlings, strict=True)):
                 out[:, c] = settling(values[end], (n_values, *self._shape))

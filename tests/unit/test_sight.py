@@ -5,8 +5,11 @@ import pytest
 
 from bsp_gp.data.tables import load_dataset
 from bsp_gp.errors import DataError
-from bsp_gp.fitting.hypothesis import Parameter
-from bsp_gp.fitting.parts.orbits import Orbit, Trend
+from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis, Parameter
+from bsp_gp.fitting.law_fit import constant_estimates
+from bsp_gp.fitting.parts.orbits import AnyAngle, Orbit, Trend
+from bsp_gp.inference.priors import Prior
 from bsp_gp.loop.close import close_loop
 from bsp_gp.report.summary import summary_text
 from bsp_gp.report.unseen_body import rivals_of
@@ -148,6 +151,25 @@ def test_a_companion_on_an_ellipse(tmp_path, rng):
     assert abs(shape.value - 0.45) < 1.5 * (shape.high - shape.low)
     text = " ".join(summary_text(report).split())
     assert "unseen companion with a period of 97." in text and "velocity error" in text
+
+
+def test_a_period_is_above_zero_and_a_velocity_may_be_nothing(tmp_path, rng):
+    # What has become superfluous is told by that.
+    dates, speeds, errors = observed(rng, 40, 300, (250.0, 0.4, 1.0))
+    data = load_dataset(write(tmp_path / "star.csv", dates, speeds, errors))
+    part = Orbit((
+        Parameter("P1", low=9 * DAY, high=2e3 * DAY, start=250 * DAY,
+                  prior=Prior("log_uniform", 9 * DAY, 2e3 * DAY)),
+        Parameter("K1", low=0.0, high=1e6, start=0.4, prior=Prior("log_uniform", 1e-3, 1e6)),
+        Parameter("longitude1", start=1.0, prior=AnyAngle()),
+    ), float(data.scenes[0].times.mean()))  # fmt: skip
+    bare = Hypothesis.from_laws(data, [])
+    found = fit(bare + Hypothesis((part,)), data)
+    period, size, _ = constant_estimates(found, data)
+    assert size.high - size.value == pytest.approx(size.value - size.low)
+    assert size.low < 0
+    assert period.low > 0
+    assert period.high / period.value == pytest.approx(period.value / period.low, rel=1e-6)
 
 
 def test_heavy_tails_of_the_errors_count_beside_a_companion(tmp_path, rng):
