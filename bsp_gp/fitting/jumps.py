@@ -126,13 +126,10 @@ def _jumps(times, places, rows, error, levels):
     t, x = window(times, 2 * rows), np.swapaxes(window(places, 2 * rows, axis=0), 1, 2)
     middle = t[:, rows - 1 : rows + 1].mean(axis=1)
     t = t - middle[:, None]
-    is_even = np.ptp(t, axis=0).max() < EVEN * np.ptp(t[0])
-    broken, smooth = _bases(t[:1] if is_even else t)
-    degree = CURVED if rows == LONGEST else 3
-    (numbers, left), (_, rest) = solved(broken, x), solved(smooth[..., : degree + 1], x)
+    numbers, left, rest, smooth = solved_alike(t, x, _explained)
     gains = surely = (rest - left) / error**2
     if SIDE_ROWS[0] < rows < LONGEST:  # where a wide swing turns it is no cubic, and no jump either
-        surely = np.minimum(gains, (solved(smooth, x)[1] - left) / error**2)
+        surely = np.minimum(gains, (smooth - left) / error**2)
     out = []
     for k in np.flatnonzero(surely > least).tolist():
         if gains[k] < gains[max(k - SIDE_ROWS[0], 0) : k + SIDE_ROWS[0] + 1].max():
@@ -148,6 +145,15 @@ def _jumps(times, places, rows, error, levels):
             if surely[k] > CLEAR or _is_at(jump, levels):
                 out.append((k + rows, jump))
     return out
+
+
+def _explained(t, x):
+    """Numbers of motions whose velocity jumps, and what they, cubics and smooth ones leave of x."""
+    broken, smooth = _bases(t)
+    numbers, left = solved(broken, x)
+    _, rest = solved(smooth, x)
+    is_longest = t.shape[1] == 2 * LONGEST
+    return numbers, left, rest if is_longest else solved(smooth[..., :4], x)[1], rest
 
 
 def _bases(t):
@@ -180,6 +186,30 @@ def solved(basis, x):
     q, r = np.linalg.qr(basis)
     along = np.swapaxes(q, 1, 2) @ x
     return np.linalg.solve(r, along), np.square(x - q @ along).sum(axis=(1, 2))
+
+
+def solved_alike(t, x, solve):
+    """What is solved of windows in stacks, where those of the same times share one basis.
+
+    Parameters
+    ----------
+    t : ndarray, shape (K, n)
+        Times of the windows.
+    x : ndarray, shape (K, n, d)
+    solve : callable
+        Of times, shape (1, n) where one stands for all, and of places; returns arrays (K, ...).
+    """
+    usual = np.median(t, axis=0)
+    is_usual = np.abs(t - usual).max(axis=1) < EVEN * np.ptp(usual)
+    if is_usual.all():
+        return solve(t[:1], x)
+    if not is_usual.any():
+        return solve(t, x)
+    others = solve(t[~is_usual], x[~is_usual])
+    out = [np.empty((len(t), *each.shape[1:])) for each in others]
+    for each, own, other in zip(out, solve(usual[None], x[is_usual]), others, strict=True):
+        each[is_usual], each[~is_usual] = own, other
+    return out
 
 
 def between(times, places, found):

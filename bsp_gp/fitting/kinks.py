@@ -6,10 +6,11 @@ acceleration jumps, the body was hit, or let go.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from bsp_gp.fitting.jumps import scatter, solved
+from bsp_gp.fitting.jumps import scatter, solved, solved_alike
 
 SIDE_ROWS = (6, 10, 16, 24)
 """Rows on each side of a kink that are looked at."""
@@ -92,15 +93,8 @@ def _kinks(times, places, rows, error, clear):
     middle = t[:, rows - 1 : rows + 1].mean(axis=1)
     span = (t[:, -1] - t[:, 0]) / 2
     u = (t - middle[:, None]) / span[:, None]
-    late = np.broadcast_to(np.arange(2 * rows) >= rows, u.shape).astype(float)
     degree = min(DEGREE, rows - 3)
-    powers = [u**k for k in range(degree + 3)]
-    jumps = [late * u**k for k in range(4)]  # of the place, the velocity and the acceleration
-    (numbers, left), (_, smooth), (_, bent) = (
-        solved(np.stack(columns, axis=-1), x) for columns in (
-            [*jumps[:2], *powers[:-2]], powers, [*jumps[2:], *powers[:-2]]
-        )
-    )  # fmt: skip
+    numbers, left, smooth, bent = solved_alike(u, x, partial(_explained, degree=degree))
     dof = (2 * rows - degree - 3) * x.shape[2]
     # Noise with a memory is larger along many rows than from row to row.
     variance = max(error**2, float(np.median(left)) / dof)
@@ -116,12 +110,25 @@ def _kinks(times, places, rows, error, clear):
         since = float(np.clip(-(slope @ step) / (slope @ slope), u[k, rows - 1], u[k, rows]))
         if np.abs(step + slope * since).max() > MEETING * error:
             continue
-        off = _without_rows([power[k] for power in powers[:-2]], x[k])
+        off = _without_rows([u[k] ** power for power in range(degree + 1)], x[k])
         if off - left[k] < clear * variance:
             continue
         turn = slope / span[k]
         out.append((k + rows, Kink(float(middle[k] + since * span[k]), turn, error, gain[k])))
     return out
+
+
+def _explained(u, x, degree):
+    """Numbers of motions whose velocity jumps, and what they, smooth and bent ones leave of x."""
+    late = (np.arange(u.shape[1]) * 2 >= u.shape[1]).astype(float)
+    powers = [u**k for k in range(degree + 3)]
+    jumps = [late * u**k for k in range(4)]  # of the place, the velocity and the acceleration
+    (numbers, left), (_, smooth), (_, bent) = (
+        solved(np.stack(columns, axis=-1), x) for columns in (
+            [*jumps[:2], *powers[:-2]], powers, [*jumps[2:], *powers[:-2]]
+        )
+    )  # fmt: skip
+    return numbers, left, smooth, bent
 
 
 def _without_rows(columns, places):

@@ -15,7 +15,7 @@ REASONS = (
     "many_causes", "own_period", "few_periods", "likelier_refused", "noise_likelier",
     "not_placed",
     "swamped", "slight", "at_bound", "much_left", "laboratory", "poorly_foreseen",
-    "smooth_kicks", "open_powers", "odd_power", "season",
+    "smooth_kicks", "open_powers", "another_power", "odd_power", "season",
     "passage",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
@@ -33,8 +33,9 @@ left; "time_is_up": of what there was time for it is the likeliest, and leaves l
 left beside it; "laboratory": it acts along axes, or about a place, in the sky;
 "poorly_foreseen": one of several that fit as well, with which predictions are notably off, though
 not surely worse; "smooth_kicks": random kicks so slight that a force which changes smoothly is as
-likely; "open_powers": several forces of which the data do not tell a power; "odd_power": a power
-that is no multiple of a half, beside a steady push; "season": orbits of which one has the period
+likely; "open_powers": several forces of which the data do not tell a power; "another_power": one
+of several that the data surely tell is another; "odd_power": one that is no multiple of a half,
+beside a steady push; "season": orbits of which one has the period
 of the Earth's year or day; "passage": a velocity that jumps in the sky."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""

@@ -76,9 +76,19 @@ def decide(table, criteria=None):
         row for row in _comparable(table)
         if row.id != best.id and _is_rival(row, best, criteria)
     )  # fmt: skip
-    # Of odd noise that the base has, too, a cause is told only where it is likelier by as much.
+    # A hand moves a body in any way, and so does a kick: they are told alone where no force does
+    # nearly as well.
+    is_anyhow = best.code in ("untrimmed", *KICKED)
+    tie = criteria.class_nats if is_anyhow else criteria.tie_nats
+    tied = [
+        row for row in rivals
+        if (row.kind != best.kind or is_anyhow and row.code not in KICKED)
+        and best.log_posterior - row.log_posterior < tie
+    ]  # fmt: skip
+    # Of odd noise that the base has, too, a cause is told only where it is likelier by as much,
+    # and so it is where nobody can tell what it would be.
     is_odd = table.noise_p <= criteria.alpha
-    needed = criteria.noise_nats if is_odd else SAME_MINIMUM
+    needed = criteria.noise_nats if is_odd or tied else SAME_MINIMUM
     if best.log_posterior - table.base.log_posterior <= needed:
         # Who is kicked in a trap wanders as noise with a memory does: it is the same process.
         if is_odd and best.kind == "kicks" and _explains_alike(best, table.base, criteria):
@@ -90,15 +100,6 @@ def decide(table, criteria=None):
         return Decision("seen, not adopted", "no_better_than_before", seen, False, rivals)
     if _is_refused(best, criteria):
         return Decision("seen, not adopted", "held_out_refuses", best, False, rivals)
-    # A hand moves a body in any way, and so does a kick: they are told alone where no force does
-    # nearly as well.
-    is_anyhow = best.code in ("untrimmed", *KICKED)
-    tie = criteria.class_nats if is_anyhow else criteria.tie_nats
-    tied = [
-        row for row in rivals
-        if (row.kind != best.kind or is_anyhow and row.code not in KICKED)
-        and best.log_posterior - row.log_posterior < tie
-    ]  # fmt: skip
     is_fact = not any(_is_near(row, best, criteria) for row in rivals)
     if (weight := _weight_before(best, table)) is not None:
         return Decision("effect adopted", "adopted", weight, True, is_beside_more=True)

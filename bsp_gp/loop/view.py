@@ -278,14 +278,15 @@ class View:
         """Chance that noise as it was assumed leaves as odd an error, see `noise_findings`.
 
         Where a force that knows no physics explains what noise of another level does not, only its
-        tails count, which no force makes: what laws lack may be quicker than the functions of time
-        beside which the noise is asked.
+        tails count, which no force makes, and steps as coarse as it, what they round being as
+        smooth as a force: what laws lack may be quicker than the functions of time beside which
+        the noise is asked.
         """
         if self.is_memory_doubted:  # unless a law is likelier, it is a memory all the same
             return 0.0
         found = self.noise_findings
         if self.free_gain > self.criteria.noise_nats:
-            found = [f for f in found if f.code == "tails"]
+            found = [f for f in found if f.code in ("tails", "grid")]
         return least_chance(found)
 
     @cached_property

@@ -48,7 +48,7 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
     "likelier_refused", "noise_likelier", "at_bound", "much_left", "laboratory", "poorly_foreseen",
-    "smooth_kicks", "open_powers", "odd_power", "season", "passage",
+    "smooth_kicks", "open_powers", "another_power", "odd_power", "season", "passage",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
@@ -60,6 +60,10 @@ SEASONS, AS_LONG = (365.25 * DAY_S, 182.625 * DAY_S, DAY_S, SIDEREAL_DAY), 0.03
 PACKAGES = ("bsp_gp", "numpy", "scipy", "pandas", "deap")
 MOST_OVERLAYS = 12
 TAIL = 0.05
+MOST_UNTOLD = 2
+"""Forces found at once, up to which the powers of each may be open to a neighbour."""
+SURELY = 4.0
+"""Errors by which a power must be off what a law has for it to be another for sure."""
 LEAST_LIKELY = 1e-4
 """Rows less likely are told without their constants."""
 
@@ -134,8 +138,17 @@ def _own_doubt(done, effect, dataset):
     if best.code in KICKED and is_of_the_sky(dataset):
         return "passage"
     is_series = len({e["term"] for e in effect.exponents if is_open(e)}) > 1
-    is_curve = best.n_pushes and has_odd_power(done.fits[best.id])
-    return "open_powers" if is_series else "odd_power" if is_curve else ""
+    if is_series or len({e["term"] for e in effect.exponents if not e["is_told"]}) > MOST_UNTOLD:
+        return "open_powers"
+    if any(map(_is_another, effect.exponents)):
+        return "another_power"
+    return "odd_power" if best.n_pushes and has_odd_power(done.fits[best.id]) else ""
+
+
+def _is_another(exponent):
+    """Whether a power, as an effect has it, is surely another than the law has."""
+    error = (exponent["high"] - exponent["low"]) / (2 * Z_90)
+    return abs(exponent["value"] - exponent["stated"]) > SURELY * error
 
 
 def has_odd_power(found):
@@ -260,7 +273,9 @@ def doubt_of_axes(rounds, removed, dataset):
         return ""
     adopted = (r.proposals[r.decision.best.id] for r in _kept(rounds, removed))
     forces = [formula for p in adopted if p.code != "period" for formula in p.formulas]
-    of_places = [f for f in forces if {*AXES, "origin"} & f.inputs and not _is_oblate(f)]
+    known = {name for term in rounds[0].entering.law.terms for name in term.formula.inputs}
+    odd = {*AXES, "origin"} - known  # whoever declares a centre knows what is there
+    of_places = [f for f in forces if odd & f.inputs and not _is_oblate(f)]
     return "laboratory" if of_places else ""
 
 

@@ -93,6 +93,7 @@ REASONS = {
     "open_powers": "several forces of which these data do not tell the powers follow any curve",
     "smooth_kicks": "kicks so slight that many rows pass until one shows: a force that changes "
     "smoothly from place to place, or in time, moves the bodies as well",
+    "another_power": "a power in it is surely another than is written: the force has another form",
     "poorly_foreseen": "other forms fit as well, and with this one predictions of what was held "
     "out are worse, though so few rows do not show it for sure",
     "at_bound": "a constant inside it ends at the bound of what it may be: another form is asked "

@@ -7,6 +7,8 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from bsp_gp.data.cells import safe_cell
 from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.output.place import claim
@@ -110,10 +112,20 @@ def _residuals(table):
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(RESIDUALS)
     if table is not None:
-        columns = [getattr(table, name) for name in RESIDUALS]
-        for row in zip(*columns, strict=True):
-            writer.writerow([_csv_cell(value) for value in row])
+        writer.writerows(zip(*(_csv_cells(getattr(table, n)) for n in RESIDUALS), strict=True))
     return out.getvalue()
+
+
+def _csv_cells(column):
+    """A column as it is written; a text, such as the name of a scene, is looked at once."""
+    values = np.asarray(column)
+    if values.dtype.kind == "f":
+        return [
+            repr(value) if is_known else ""
+            for value, is_known in zip(values.tolist(), np.isfinite(values).tolist(), strict=True)
+        ]
+    told = {value: _csv_cell(value) for value in set(values.tolist())}
+    return [told[value] for value in values.tolist()]
 
 
 def _csv_cell(value):

@@ -32,12 +32,13 @@ class Noise:
         if "declared" in model.sources:
             return self.doubted(view)
         is_open = view.dataset.is_of_sight or not model.is_correlation_known
-        if not model.is_free.any() or model.correlated or not is_open:
+        if not model.is_free.any() or not is_open:
             return Family(self.name)
         plain = replace(model.plain(), is_correlation_known=False)
+        shares = (*SHARES, model.correlated) if model.correlated else SHARES
         models = [
             replace(plain, correlated=share, correlation_time=float(time * view.step))
-            for time in TIMES for share in SHARES
+            for time in TIMES for share in shares
         ]  # fmt: skip
         gains = [_gain(view, remembered) for remembered in models]
         best = int(np.argmax(gains))
