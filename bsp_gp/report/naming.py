@@ -252,6 +252,14 @@ def change(code, name, constants=()):
     return name
 
 
+def of_scenes(effect):
+    """What an instrument did in some scenes: "a wrong scale of lengths in scene run2"."""
+    found = (re.fullmatch(rf"{effect.code}_(?:[xyz]_)?(.+)", c.name) for c in effect.constants)
+    scenes = list(dict.fromkeys(match[1] for match in found if match))
+    where = f" in scene {scenes[0]}" if len(scenes) == 1 else " in each scene" if scenes else ""
+    return f"{CAUSES[effect.code]}{where}"
+
+
 def _vector(constants):
     """Components with their unit: "(0.967, 0.521) m/s"."""
     text = ", ".join(format_number(c.value, 3) for c in constants)

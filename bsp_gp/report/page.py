@@ -32,6 +32,7 @@ from bsp_gp.report.naming import (
     describe,
     inclination,
     kept_curve,
+    of_scenes,
     period,
     ripple,
 )
@@ -284,6 +285,8 @@ def _name(effect, parts, other):
         return f"{phrase}, and {inclination(effect)}" if is_aslant else phrase
     if effect.code in ("rod", "wire"):
         return {"rod": constant_distance, "wire": kept_curve}[effect.code](effect)
+    if effect.code in ("scale", "clock", "drift"):
+        return of_scenes(effect)
     return CAUSES.get(effect.code, effect.name)
 
 

@@ -6,6 +6,7 @@ Numbers are 0 where the measurement is as declared.
 """
 
 from dataclasses import dataclass, replace
+from functools import reduce
 
 from bsp_gp.fitting.hypothesis import Parameter, Part
 from bsp_gp.units import DIMENSIONLESS, Unit
@@ -44,7 +45,8 @@ class Instrument(Part):
     values : tuple of float
         Where a fit begins; none = at zero.
     whose : tuple of str
-        The body of a delay; the scenes of a drift that differs between them.
+        The body of a delay; the scenes in which there is a drift, a scale or a clock, each with
+        numbers of its own.
     middle, size : tuple of float, float, metres
         Of the picture; half its width.
     epoch : float, s
@@ -94,20 +96,28 @@ class Instrument(Part):
         """True place and time, nodes of a graph; `is_driven` where forces do not move a body."""
         numbers = [g.constant(name) for name in self.names]
         if self.code == "clock":
-            return place, g.div(time, g.add(g.one, numbers[0]))
+            return place, g.div(time, g.add(g.one, self._here(g, numbers)))
         if self.code in _UNDO:
             place = _UNDO[self.code](self, g, place, time, is_driven, numbers)
         return tuple(place), time
 
+    def _here(self, g, numbers):
+        """The one number, or that of the scene: nothing in others."""
+        if not self.whose:
+            return numbers[0]
+        here = (g.mul(c, g.input("is_scene", s)) for c, s in zip(numbers, self.whose, strict=True))
+        return reduce(g.add, here)
+
     def describe(self):
         """Formula-like."""
         each = " in each scene" if len(self.whose) > 1 else ""
-        shown = self.names[: len(self.axes)] if each else self.names
+        shown = self.names[: max(len(self.axes), 1)] if each else self.names
         return TEXTS[self.code].format(", ".join(shown)) + each
 
 
 def _scale(part, g, place, time, is_driven, c):
-    return [g.div(x, g.add(g.one, c[0])) for x in place]
+    size = g.add(g.one, part._here(g, c))
+    return [g.div(x, size) for x in place]
 
 
 def _tilt(part, g, place, time, is_driven, c):

@@ -31,11 +31,10 @@ class Measurement:
     def propose(self, view):
         """The family of all kinds that make sense for the data."""
         known = set(view.fit.law.constants)
-        parts = [p for p in kinds_of(view.dataset, view.fit) if known.isdisjoint(p.names)]
-        codes, tried = [part.code for part in parts], []
-        for part in parts:
-            with one_thread(), np.errstate(all="ignore"):
-                columns = instrument_columns(view.fit, part)
+        kinds = kinds_of(view.dataset, view.fit)
+        told = [pair for p in kinds if known.isdisjoint(p.names) for pair in _columns(view.fit, p)]
+        codes, tried = [part.code for part, _ in told], []
+        for part, columns in told:
             score = view.tangent.score(columns)
             log_prior = -view.criteria.cause_nats - math.log(codes.count(part.code))
             proposal = _proposal(view, part, score, log_prior)
@@ -51,6 +50,16 @@ class Measurement:
         return Family(
             self.name, tuple(proposals), best.statistic, best.rank, null, n_tried=len(tried)
         )  # fmt: skip
+
+
+def _columns(fit, part):
+    """A part and what it changes of tracks; of scenes that differ the same of each one alone."""
+    with one_thread(), np.errstate(all="ignore"):
+        columns = instrument_columns(fit, part)
+    yield part, columns
+    if len(part.whose) > 1:
+        for name, own in zip(part.whose, np.split(columns, len(part.whose)), strict=True):
+            yield replace(part, whose=(name,)), own
 
 
 def _proposal(view, part, score, log_prior):
@@ -106,7 +115,8 @@ def kinds_of(dataset, fit):
     if any(e.is_static for s in scenes for e in s.entities):
         out.append(Instrument("offset", axes, FAR * size))
     if 1 < len(scenes) <= MOST_SCENES:
-        out.append(replace(drift, whose=tuple(s.name for s in scenes)))
+        names = tuple(s.name for s in scenes)
+        out += [replace(part, whose=names) for part in (drift, *out[:2])]
     names = dict.fromkeys(s.names[k] for s in scenes for k in s.dynamic)
     if max(len(s.entities) for s in scenes) > 1 and len(names) <= MOST_BODIES:
         out += [Instrument("delay", (), FRAMES * step, whose=(name,)) for name in names]
