@@ -30,6 +30,9 @@ BESIDE = 2
 """Rows about the last that stands still, in which a body may already move."""
 SETTLED = 0.1
 """Rows of a body that has settled which are kept where it rests long, in those of its motion."""
+SMOOTH = 0.5
+"""Of the squares of steps from row to row, in those of places about their mean, below which rows
+are a motion: of noise without a memory they are twice as large."""
 HELD, CHANCE = 4.0, 1e-6
 """Reduced chi-squared from which on a law does not follow rows, and the chance of what curves and
 laws leave."""
@@ -152,14 +155,21 @@ def _still_ends(scene, levels, settled=0.0):
     head = _n_still(scene.times[seen], places[seen])
     tail = _n_still(-scene.times[seen][::-1], places[seen][::-1])
     moving = np.linalg.norm(np.diff(places[seen][head : len(seen) - tail], axis=0), axis=1)
-    if len(moving) and moving[-BESIDE - 1 :].mean() < ABRUPT * moving.mean():
-        tail = max(tail - int(settled * len(moving)), 0) if settled else 0
+    if tail and len(moving) and moving[-BESIDE - 1 :].mean() < ABRUPT * moving.mean():
+        is_motion = not settled or _swings(places[seen][len(seen) - tail // 2 :])
+        tail = 0 if is_motion else max(tail - int(settled * len(moving)), 0)
     if head + tail > MOST_STILL * len(seen) or len(seen) - head - tail < LEAST_MOVING:
         return 0, 0
     return (
         int(seen[head]) if head else 0,
         len(scene.times) - 1 - int(seen[-1 - tail]) if tail else 0,
     )
+
+
+def _swings(places):
+    """Whether what has nearly settled still goes to and fro, from row to row less than in all."""
+    scatter = np.square(places - places.mean(axis=0)).sum()
+    return bool(np.square(np.diff(places, axis=0)).sum() < SMOOTH * scatter)
 
 
 def _n_still(times, places):

@@ -129,8 +129,9 @@ def close_loop(
     earlier : str, optional
         Such text of a run with the same data and settings, to go on from.
     all_rows : bool
-        Take every row as it is; by default long tracks of dense rows are averaged, and recordings
-        of very many turns cut into stretches, see `bsp_gp.data.blocks` and `bsp_gp.data.stretches`.
+        Take every row as it is; by default long tracks of dense rows are averaged, recordings of
+        very many turns cut into stretches, see `bsp_gp.data.blocks` and `bsp_gp.data.stretches`,
+        and ends left out at which a hand moves the body.
 
     Returns
     -------
@@ -178,6 +179,7 @@ def close_loop(
             grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude), search=search,
             budget=search_budget,
         )  # fmt: skip
+        able = [p for p in able if not (all_rows and p.name == "hands")]
         return run_rounds(
             ready.hypothesis, ready.train, able, rng=rng, begun=begun, clock=clock, **settings,
             **more,
@@ -523,7 +525,7 @@ def _written(
         or writing_up.doubt_of_sources(rounds, pruned.removed)
         or writing_up.doubt_of_bounds(rounds, pruned.removed)
         or writing_up.doubt_of_axes(rounds, pruned.removed, dataset)
-        or writing_up.doubt_of_rest(first, last, rounds, bound)
+        or writing_up.doubt_of_rest(first, last, rounds, bound, pruned.removed)
     )
     doubt = "many_causes" if writing_up.is_many(rounds, pruned.removed) else doubt
     may_ask = last is not first and not is_late and ready.has_more and not ready.is_swapped

@@ -47,12 +47,15 @@ UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}
 """Why a law only describes the tracks, by what nobody lists and is likelier than it alone."""
 DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
-    "likelier_refused", "noise_likelier", "at_bound", "much_left", "laboratory", "poorly_foreseen",
-    "smooth_kicks", "open_powers", "another_power", "odd_power", "season", "passage",
+    "likelier_refused", "noise_likelier", "at_bound", "much_left", "more_left", "laboratory",
+    "poorly_foreseen", "smooth_kicks", "open_powers", "another_power", "odd_power", "season",
+    "passage",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
 """Part of what the declared law leaves from which much is left, and its signal-to-noise ratio."""
+MORE, MORE_SNR = 0.05, 10.0
+"""The same of what is surely more than noise, beside all that was missing to begin with."""
 FEWEST_PERIODS = 2
 """That a recording must have of what comes back in time: one wave is as good as any curve."""
 SEASONS, AS_LONG = (365.25 * DAY_S, 182.625 * DAY_S, DAY_S, SIDEREAL_DAY), 0.03
@@ -285,11 +288,13 @@ def _is_oblate(formula):
     return any(isinstance(power, Number) and power.value == -5 for power in powers)
 
 
-def doubt_of_rest(first, last, rounds, bound):
+def doubt_of_rest(first, last, rounds, bound, removed=()):
     """Why laws that were found are none for sure; "" where nothing says so.
 
     Beside which a third of the motion is left that nothing explains, they are no part of what
     moves it either: of a double pendulum that no rod could follow, forces with a period were facts.
+    Where some of it surely is, and nothing that was tried explains it, they may be the nearest of
+    what was tried; so may a fitted power that is none of a textbook, however little is left.
 
     Parameters
     ----------
@@ -297,13 +302,23 @@ def doubt_of_rest(first, last, rounds, bound):
         Of the declared law, and of the final one.
     bound : HiddenBound or None
         Of what is left.
+    removed : collection of int
+        Numbers of rounds whose causes were taken back.
     """
     end = rounds[-1].decision
     if end.is_adopted or end.verdict == "nothing missing" or bound is None:
         return ""
-    if not (bound.snr > SURE_SNR and first.shows_tracks and last.shows_tracks):
+    if not (first.shows_tracks and last.shows_tracks):
         return ""
-    return "much_left" if size_left(last) > MUCH * size_left(first) else ""
+    if bound.snr > SURE_SNR and size_left(last) > MUCH * size_left(first):
+        return "much_left"
+    known = rounds[0].hidden_bound
+    if end.verdict != "seen, not adopted" or bound.snr < MORE_SNR or known is None:
+        return ""
+    kept = _kept(rounds, removed)
+    is_odd = any(foresees(r.decision.best) and has_odd_power(r.fits[r.decision.best.id])
+                 for r in kept)  # fmt: skip
+    return "more_left" if is_odd or bound.snr > MORE * known.snr else ""
 
 
 def doubt_of_bounds(rounds, removed):

@@ -88,6 +88,8 @@ REASONS = {
     "not_placed": "its strength may be nothing, and it may be anywhere: other pushes that change "
     "from place to place do as well",
     "much_left": "much of the motion is left beside it, which nothing that was tried explains",
+    "more_left": "more than noise is left beside it that nothing explains: it may be the nearest "
+    "of what was tried",
     "laboratory": "it acts along the axes of a picture, or about a place where nothing is seen, as "
     "nothing in the sky does",
     "open_powers": "several forces of which these data do not tell the powers follow any curve",

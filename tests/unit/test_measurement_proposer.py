@@ -65,8 +65,11 @@ def test_codes_priors_bounds_and_starts():
     family = Measurement().propose(viewed(data))
     counts = {}
     for part in kinds_of(data, viewed(data).fit):
-        counts[part.code] = counts.get(part.code, 0) + 1
-    assert counts["slant"] == counts["perspective"] == counts["drift"] == 2
+        n_alone = len(part.whose) if len(part.whose) > 1 else 0  # each scene by itself as well
+        counts[part.code] = counts.get(part.code, 0) + 1 + n_alone
+    assert counts["slant"] == counts["perspective"] == 2
+    n_scenes = len(data.scenes)
+    assert counts["drift"] == counts["scale"] == counts["clock"] == 2 + n_scenes
     assert "offset" not in counts and "delay" not in counts  # nothing fixed, one body
     for p in family.proposals:
         assert p.code in CAUSES

@@ -88,12 +88,13 @@ class _End:
     def told_by_law(self):
         """Which leave least of the law; None where they are many, or do not make most of it.
 
-        What a law lacks all along would leave out half of a track.
+        What a law lacks all along would leave out half of a track: the most that are asked are no
+        end that was found.
         """
         few = self.paid[self.rows <= FEW * self.n]
-        if not len(few):
+        k = int(np.argmax(few)) if len(few) else 0
+        if k + 1 >= len(few):
             return None
-        k = int(np.argmax(few))
         is_most = self._gains[k] > MOST * np.square(self.chain.targets[0]).sum()
         return k if is_most else None
 
