@@ -525,7 +525,7 @@ def _written(
         or writing_up.doubt_of_sources(rounds, pruned.removed)
         or writing_up.doubt_of_bounds(rounds, pruned.removed)
         or writing_up.doubt_of_axes(rounds, pruned.removed, dataset)
-        or writing_up.doubt_of_rest(first, last, rounds, bound, pruned.removed)
+        or writing_up.doubt_of_rest(first, last, rounds, bound, dataset, pruned.removed)
     )
     doubt = "many_causes" if writing_up.is_many(rounds, pruned.removed) else doubt
     may_ask = last is not first and not is_late and ready.has_more and not ready.is_swapped

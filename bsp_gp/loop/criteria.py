@@ -30,9 +30,9 @@ back; "likelier_refused": adopted in the place of a likelier one that made predi
 explain it, as large as the motion; "slight": it takes up less than half of the little that is
 left; "time_is_up": of what there was time for it is the likeliest, and leaves little;
 "at_bound": a constant inside it ends at its bound; "much_left": a third of the motion and more is
-left beside it; "more_left": surely more than noise is; "laboratory": it acts along axes, or about a place, in the sky;
-"poorly_foreseen": one of several that fit as well, with which predictions are notably off, though
-not surely worse; "smooth_kicks": random kicks so slight that a force which changes smoothly is as
+left beside it; "more_left": surely more than noise is; "laboratory": it acts along axes, or about
+a place, in the sky; "poorly_foreseen": one of several that fit as well, with which predictions are
+notably off, though not surely worse; "smooth_kicks": random kicks so slight that a force which changes smoothly is as
 likely; "open_powers": several forces of which the data do not tell a power; "another_power": one
 of several that the data surely tell is another; "odd_power": one that is no multiple of a half,
 beside a steady push; "season": orbits of which one has the period

@@ -67,6 +67,8 @@ MOST_BESIDE = 0.1
 """Part of what a law leaves, up to which a rod or a rail leaves little."""
 MOST_IN_TIME = 0.3
 """The same of a law that is told as a description where the time is up."""
+ALL_IN_TIME = 1e-6
+"""The same of one that is adopted all the same."""
 MOST_HELD = 3
 """Rods and rails that are fitted before all else."""
 MOST_UNKEPT = 3
@@ -408,7 +410,11 @@ class _Turn:
         if not self.left_out:
             return decision
         stands = decision.is_adopted and set(self.left_out) <= {"fits", "proposers"}
-        if stands and any(key == decision.best.id for key, *_ in self.leaving_nothing):
+        is_all = stands and (
+            decision.best.left < ALL_IN_TIME * self.rows[0].left
+            or any(key == decision.best.id for key, *_ in self.leaving_nothing)
+        )
+        if is_all:
             return replace(decision, is_fact=False)
         if stands and decision.best.left < MOST_IN_TIME * self.rows[0].left:
             return replace(decision, verdict="effective law", reason="time_is_up", is_fact=False)
@@ -542,6 +548,7 @@ class _Turn:
         heads = {f.name: f.proposals[0] for f in self.families if f.proposals}
         broken = []  # proposals of all there is that left much, and reduced chi-squared
         unkept = {}  # by family, fits that are no likelier than the law as it is
+        has_most = False  # whether what is asked before all else explains most
         fits, n_left = self._fits(queue), self.most_fits
         n_most, n_fits = len(controls) + n_left, 0
         for k, (source, proposal) in enumerate(queue):
@@ -586,8 +593,8 @@ class _Turn:
             is_left = self.judged.get(row.id, 0.0) > EXPLAINED
             if proposal.is_sole and is_left and proposal.instead is None:
                 broken.append((proposal, self.judged[row.id]))
-            is_most = proposal.is_first and row.is_fit and self._is_most(row)
-            if is_most and not (k + 1 < n_first and queue[k + 1][1].is_first):
+            has_most |= proposal.is_first and row.is_fit and self._is_most(row)
+            if has_most and not (k + 1 < n_first and queue[k + 1][1].is_first):
                 break
             if row.is_fit or not (is_open or proposal.formulas or proposal.instead):
                 is_likelier = row.log_posterior > self.rows[0].log_posterior

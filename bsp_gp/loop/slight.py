@@ -45,11 +45,11 @@ def is_slight(first, done, dataset):
     before, after = size_left(done.entering), size_left(done.fits[best.id])
     if not (before < LITTLE * size_left(first) and after > (1 - TAKEN) * before):
         return False
-    return after**2 > ALONE * _noise(done.entering, dataset) ** 2
+    return after**2 > ALONE * noise_size(done.entering, dataset) ** 2
 
 
-def _noise(found, dataset):
-    """Size of the noise from row to row, as `_size` has it."""
+def noise_size(found, dataset):
+    """Size of the noise from row to row, as `size_left` has what is left."""
     sigma = np.array(estimate_noise(dataset).sigma)
     sigma = sigma[np.isfinite(sigma)]
     return 1.0 if found.noise.adding else float(np.sqrt(np.mean(np.square(sigma))))

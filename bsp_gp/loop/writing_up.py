@@ -31,7 +31,7 @@ from bsp_gp.loop.proposal import is_turning
 from bsp_gp.loop.proposers.exponents import base_of
 from bsp_gp.loop.proposers.orbits import SIDEREAL_DAY
 from bsp_gp.loop.proposers.priors import AXES
-from bsp_gp.loop.slight import MOST_CAUSES, size_left
+from bsp_gp.loop.slight import MOST_CAUSES, noise_size, size_left
 from bsp_gp.physics.bodies import input_types_of
 from bsp_gp.physics.force import split_linear
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
@@ -54,8 +54,8 @@ DESCRIBES = {
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
 """Part of what the declared law leaves from which much is left, and its signal-to-noise ratio."""
-MORE, MORE_SNR = 0.05, 10.0
-"""The same of what is surely more than noise, beside all that was missing to begin with."""
+MORE, MORE_SNR = 0.1, 10.0
+"""The same of what is surely more than noise, less the noise."""
 FEWEST_PERIODS = 2
 """That a recording must have of what comes back in time: one wave is as good as any curve."""
 SEASONS, AS_LONG = (365.25 * DAY_S, 182.625 * DAY_S, DAY_S, SIDEREAL_DAY), 0.03
@@ -65,8 +65,9 @@ MOST_OVERLAYS = 12
 TAIL = 0.05
 MOST_UNTOLD = 2
 """Forces found at once, up to which the powers of each may be open to a neighbour."""
-SURELY = 4.0
-"""Errors by which a power must be off what a law has for it to be another for sure."""
+SURELY, NOTABLY = 4.0, 0.1
+"""Errors by which a power must be off what a law has for it to be another for sure, and by how
+much at least."""
 LEAST_LIKELY = 1e-4
 """Rows less likely are told without their constants."""
 
@@ -151,7 +152,7 @@ def _own_doubt(done, effect, dataset):
 def _is_another(exponent):
     """Whether a power, as an effect has it, is surely another than the law has."""
     error = (exponent["high"] - exponent["low"]) / (2 * Z_90)
-    return abs(exponent["value"] - exponent["stated"]) > SURELY * error
+    return abs(exponent["value"] - exponent["stated"]) > max(SURELY * error, NOTABLY)
 
 
 def has_odd_power(found):
@@ -288,7 +289,7 @@ def _is_oblate(formula):
     return any(isinstance(power, Number) and power.value == -5 for power in powers)
 
 
-def doubt_of_rest(first, last, rounds, bound, removed=()):
+def doubt_of_rest(first, last, rounds, bound, dataset, removed=()):
     """Why laws that were found are none for sure; "" where nothing says so.
 
     Beside which a third of the motion is left that nothing explains, they are no part of what
@@ -302,6 +303,8 @@ def doubt_of_rest(first, last, rounds, bound, removed=()):
         Of the declared law, and of the final one.
     bound : HiddenBound or None
         Of what is left.
+    dataset : Dataset
+        Training scenes.
     removed : collection of int
         Numbers of rounds whose causes were taken back.
     """
@@ -312,13 +315,13 @@ def doubt_of_rest(first, last, rounds, bound, removed=()):
         return ""
     if bound.snr > SURE_SNR and size_left(last) > MUCH * size_left(first):
         return "much_left"
-    known = rounds[0].hidden_bound
-    if end.verdict != "seen, not adopted" or bound.snr < MORE_SNR or known is None:
+    if end.verdict != "seen, not adopted" or bound.snr < MORE_SNR:
         return ""
     kept = _kept(rounds, removed)
     is_odd = any(foresees(r.decision.best) and has_odd_power(r.fits[r.decision.best.id])
                  for r in kept)  # fmt: skip
-    return "more_left" if is_odd or bound.snr > MORE * known.snr else ""
+    more = math.sqrt(max(size_left(last) ** 2 - noise_size(last, dataset) ** 2, 0.0))
+    return "more_left" if is_odd or more > MORE * size_left(first) else ""
 
 
 def doubt_of_bounds(rounds, removed):

@@ -252,12 +252,21 @@ def change(code, name, constants=()):
     return name
 
 
-def of_scenes(effect):
-    """What an instrument did in some scenes: "a wrong scale of lengths in scene run2"."""
-    found = (re.fullmatch(rf"{effect.code}_(?:[xyz]_)?(.+)", c.name) for c in effect.constants)
+def of_scenes(code, names):
+    """What an instrument did in some scenes: "a wrong scale of lengths in scene run2".
+
+    Parameters
+    ----------
+    code : str
+        One of `CAUSES`.
+    names : iterable of str
+        Of its numbers.
+    """
+    axis = "[xyz]_" if code == "drift" else ""
+    found = (re.fullmatch(f"{code}_{axis}(.+)", name) for name in names)
     scenes = list(dict.fromkeys(match[1] for match in found if match))
     where = f" in scene {scenes[0]}" if len(scenes) == 1 else " in each scene" if scenes else ""
-    return f"{CAUSES[effect.code]}{where}"
+    return f"{CAUSES[code]}{where}"
 
 
 def _vector(constants):

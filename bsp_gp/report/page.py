@@ -89,10 +89,29 @@ def page_of(report):
             tried = [row["law"] for row in done.hypotheses if row["status"] == "converged"]
             r.effect.dependence = dependence(law, rivals, tried, page.dataset)
             r.effect.equivalents, n_same, why = told_once(law, rivals, page.dataset)
-            r.effect.likeliest_other = _other_form(r.effect, page.dataset)
+            other = _other_error(r.effect, done.hypotheses)
+            r.effect.likeliest_other = other or _other_form(r.effect, page.dataset)
             r.effect.rewritten = rewritten(n_same, why)
             r.effect.name += other_way(r.effect, why, page.dataset)
     return page
+
+
+def _other_error(effect, rows):
+    """In plain words, the likeliest other error of the measurement that fits as well; "" if none.
+
+    Parameters
+    ----------
+    effect : SimpleNamespace
+    rows : sequence of dict
+        Of the table of its round.
+    """
+    if effect.is_fact or effect.kind != "measurement":
+        return ""
+    rows = [row for row in rows if row["law"] in effect.equivalents and row["model"]
+            and row["code"] in CAUSES and row["code"] != effect.code
+            and len(row["model"]["uncertain"]) <= len(effect.constants)]  # fmt: skip
+    row = max(rows, key=lambda row: _finite(row["probability"]), default=None)
+    return "" if row is None else of_scenes(row["code"], row["model"]["uncertain"])
 
 
 def _other_form(effect, dataset):
@@ -286,7 +305,7 @@ def _name(effect, parts, other):
     if effect.code in ("rod", "wire"):
         return {"rod": constant_distance, "wire": kept_curve}[effect.code](effect)
     if effect.code in ("scale", "clock", "drift"):
-        return of_scenes(effect)
+        return of_scenes(effect.code, (c.name for c in effect.constants))
     return CAUSES.get(effect.code, effect.name)
 
 

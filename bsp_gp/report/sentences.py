@@ -66,6 +66,8 @@ def _ended(text):
     return text if not text or text[-1] in ".!?" else text + "."
 
 
+WORSE = 1.1
+"""Ratio of errors on what was held out, from which the adopted law is told to foresee it worse."""
 _DESCRIBES = "It describes these tracks, but "
 
 
@@ -386,6 +388,8 @@ def ratio_caution(report):
         return "Kicks cannot be foreseen: held-out tracks are foreseen no better with them."
     if ratio is None or not adopted_rounds(report) or not is_number(ratio.value):
         return ""
+    if ratio.value > WORSE:
+        return "Held-out data are foreseen worse with the adopted law than with the declared one."
     if ratio.value >= 1:
         return "The adopted law is no better than the declared one on the held-out data."
     if is_number(ratio.high) and ratio.high >= 1:

@@ -26,7 +26,7 @@ def trace_sentence(trace):
     best = trace.channels[0]
     if best.evidence <= 0:
         return "No direction explains more of what is left than noise would."
-    text = f"What is left is best described as a push {_direction(best)}"
+    text = f"What was missing is best described as a push {_direction(best)}"
     text += f" that changes with {_variable(best)}" if best.variable else " of constant size"
     return f"{text} ({_share(best)} of it, {format_p(best.p_value)})."
 

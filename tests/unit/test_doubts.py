@@ -61,16 +61,19 @@ def left(size):
     [
         (0.4, 500.0, "cannot tell", "much_left"), (0.4, 500.0, "seen, not adopted", "much_left"),
         (0.2, 500.0, "cannot tell", ""), (0.4, 20.0, "cannot tell", ""),
-        (0.4, 500.0, "nothing missing", ""), (0.4, 90.0, "seen, not adopted", ""),
-        (0.2, 110.0, "seen, not adopted", "more_left"), (0.2, 110.0, "cannot tell", ""),
+        (0.4, 500.0, "nothing missing", ""), (0.4, 90.0, "seen, not adopted", "more_left"),
+        (0.2, 90.0, "cannot tell", ""), (0.07, 90.0, "seen, not adopted", ""),
     ],
 )  # fmt: skip
-def test_beside_what_is_left_of_most_of_the_motion_no_law_is_sure(after, snr, verdict, said):
+def test_beside_what_is_left_of_most_of_the_motion_no_law_is_sure(
+    after, snr, verdict, said, monkeypatch
+):  # fmt: skip
+    monkeypatch.setattr(writing_up, "noise_size", lambda found, dataset: 0.05)
     decision = SimpleNamespace(is_adopted=False, verdict=verdict)
-    rounds = [SimpleNamespace(number=1, decision=decision, hidden_bound=SimpleNamespace(snr=2e3))]
+    rounds = [SimpleNamespace(number=1, decision=decision)]
     bound = SimpleNamespace(snr=snr)
-    assert doubt_of_rest(left(1.0), left(after), rounds, bound) == said
-    assert doubt_of_rest(left(1.0), left(after), rounds, None) == ""
+    assert doubt_of_rest(left(1.0), left(after), rounds, bound, None) == said
+    assert doubt_of_rest(left(1.0), left(after), rounds, None, None) == ""
 
 
 def with_orbits(*days):

@@ -43,6 +43,9 @@ AWAY = 0.1
 """Part of the data's size that a fit may miss and still lead to what extends it."""
 MOST = 0.9
 """Part of what no law at all leaves that a source explains, from which it is fitted in any case."""
+LONG = 8
+"""Times the patience of other laws with which a source where places count from is fitted: of many
+turns that planets disturb the descent is long, and hardly anything else moves a body of the sky."""
 SAME = 1e-6
 """By which two pulls may differ that are one."""
 
@@ -157,7 +160,7 @@ def _at_origin(view, stage):
     terms, place = attraction(view, stage), np.zeros(stage.n_dims)
     gain = max(float(view.left @ view.left) - view.n_left, 0.0)
     every = stage.proposals(terms, place, strength / GRAVITATIONAL_CONSTANT, gain)
-    return tuple(replace(each, is_first=True, patience=PATIENT) for each in every)
+    return tuple(replace(each, is_first=True, patience=LONG * PATIENT) for each in every)
 
 
 def still(places):

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from bsp_gp.data.extent import is_of_the_sky
-from bsp_gp.fitting.parts.instrument import LARGE, Instrument
+from bsp_gp.fitting.parts.instrument import Instrument
 from bsp_gp.fitting.tangent import instrument_columns
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.view import gains
@@ -91,7 +91,7 @@ def kinds_of(dataset, fit):
     step = float(np.median(np.concatenate([np.diff(s.times) for s in scenes])))
     span = max(float(np.ptp(s.times)) for s in scenes)
     drift = Instrument(
-        "drift", axes, LARGE * size / span, epoch=min(float(s.times[0]) for s in scenes)
+        "drift", axes, size / span, epoch=min(float(s.times[0]) for s in scenes)
     )
     out = [Instrument("scale"), Instrument("clock"), drift]
     out.append(Instrument("exposure", (), (FRAMES * step) ** 2))

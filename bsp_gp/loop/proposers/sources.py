@@ -12,7 +12,7 @@ from bsp_gp.inference.latents import Latent, Latents
 from bsp_gp.inference.priors import Prior
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.loop.proposers.by_owner import evidence_of
 from bsp_gp.loop.proposers.hidden import TYPES
 from bsp_gp.physics.bodies import dataset_types
@@ -77,12 +77,17 @@ class Sources:
                 strengths = np.zeros(len(names))
                 strengths[acts] = score.amplitudes
                 own = (names, strengths, score.rank, height)
-                is_gravity = view.is_sky and np.all(strengths > 0)
+                is_gravity = view.is_sky and np.max(strengths) > 0
                 found.append(_gravity(view, *own) if is_gravity else _proposal(view, power, *own))
-        # Where some law with numbers that are known does as well, no other is asked for.
+        # Where some law with numbers that are known does as well, no other is asked for; gravity of
+        # bodies of the sky is, before all else.
         least = view.promised - view.criteria.noise_nats
-        found = sorted((p for p in found if p.promise > least), key=lambda p: -p.promise)
-        return Family(self.name, tuple(found), best, 2, null, n_tried=n_tried)
+        found = [p for p in found if p.is_first or p.promise > least]
+        found.sort(key=lambda p: -p.promise)
+        n_first = sum(p.is_first for p in found)
+        return Family(
+            self.name, tuple(found), best, 2, null, n_tried=n_tried, n_controls=n_first
+        )
 
 
 def _columns(view, names, power):
@@ -127,7 +132,7 @@ def _proposal(view, power, names, strengths, rank, height):
 
 def _gravity(view, names, strengths, rank, height):
     """The attraction by masses that are not known."""
-    masses = strengths / GRAVITATIONAL_CONSTANT
+    masses = np.maximum(strengths, 0.0) / GRAVITATIONAL_CONSTANT
     spread = WIDE * float(np.sqrt(np.mean(np.square(masses))))
     prior = Prior("truncated_normal", low=0.0, mean=0.0, sd=spread)
     items = tuple(Latent(f"mass[{name}]", "mass", prior, (("", name),)) for name in names)
@@ -139,7 +144,7 @@ def _gravity(view, names, strengths, rank, height):
             ForceLaw((Term(formula),), {})
         ),
         -view.criteria.cause_nats, 2 * height, rank, is_wide=True, formulas=(formula,),
-        n_dims=view.dataset.n_dims,
+        n_dims=view.dataset.n_dims, is_first=True, patience=PATIENT,
     )  # fmt: skip
 
 

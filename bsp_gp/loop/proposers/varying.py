@@ -1,5 +1,6 @@
 """Constants that are not the same everywhere: a strength of its own for every body, or scene."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -122,6 +123,8 @@ def _proposal(view, index, by, keys, changes, gain, ties):
         with_term_at(view.hypothesis, index, formula, {name: table}),
         -view.criteria.cause_nats, gain, 2,
         ties=tuple(to_text(formula).replace(f"[{by}]", f"[{other}]") for other in ties),
+        # What was typed with its number acts the other way round nowhere.
+        bounds={} if old else {name: (0.0, math.inf)},
     )  # fmt: skip
 
 
