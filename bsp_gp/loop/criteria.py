@@ -32,11 +32,11 @@ left; "time_is_up": of what there was time for it is the likeliest, and leaves l
 "at_bound": a constant inside it ends at its bound; "much_left": a third of the motion and more is
 left beside it; "more_left": surely more than noise is; "laboratory": it acts along axes, or about
 a place, in the sky; "poorly_foreseen": one of several that fit as well, with which predictions are
-notably off, though not surely worse; "smooth_kicks": random kicks so slight that a force which changes smoothly is as
-likely; "open_powers": several forces of which the data do not tell a power; "another_power": one
-of several that the data surely tell is another; "odd_power": one that is no multiple of a half,
-beside a steady push; "season": orbits of which one has the period
-of the Earth's year or day; "passage": a velocity that jumps in the sky."""
+notably off, though not surely worse; "smooth_kicks": random kicks so slight that a force which
+changes smoothly is as likely; "open_powers": several forces of which the data do not tell a power;
+"another_power": one that the data surely tell is another; "odd_power": one that is no multiple of a
+half, beside a steady push; "season": orbits of which one has the period of the Earth's year or day;
+"passage": a velocity that jumps in the sky."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""
 STOP_REASONS = (

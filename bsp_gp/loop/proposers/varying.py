@@ -117,14 +117,16 @@ def _proposal(view, index, by, keys, changes, gain, ties):
         formula = rename_constants(formula, {old: name})
     else:
         formula = Call("mul", Constant(name), formula)
-    table = {key: value * (1 + float(d)) for key, d in zip(keys, changes, strict=True)}
+    least = -math.inf if old else 0.0  # what was typed with its number acts the other way nowhere
+    table = {
+        key: max(value * (1 + float(d)), least) for key, d in zip(keys, changes, strict=True)
+    }
     return Proposal(
         f"constant_per_{by}", to_text(formula),
         with_term_at(view.hypothesis, index, formula, {name: table}),
         -view.criteria.cause_nats, gain, 2,
         ties=tuple(to_text(formula).replace(f"[{by}]", f"[{other}]") for other in ties),
-        # What was typed with its number acts the other way round nowhere.
-        bounds={} if old else {name: (0.0, math.inf)},
+        bounds={} if old else {name: (least, math.inf)},
     )  # fmt: skip
 
 
