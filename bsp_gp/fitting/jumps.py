@@ -78,7 +78,7 @@ def jumps(times, places, levels=None):
     if len(times) < 2 * SIDE_ROWS[0] or not np.ptp(places, axis=0).any():
         return []
     error, every = scatter(places), []
-    if any(_turns(x, ACROSS * error) > len(x) / QUICK for x in places.T):
+    if any(n_turns(x, ACROSS * error) > len(x) / QUICK for x in places.T):
         return []  # bodies that swing so fast turn within what a jump is told by
     for rows in SIDE_ROWS:
         if len(times) >= 2 * rows:
@@ -92,7 +92,7 @@ def jumps(times, places, levels=None):
     return [out[at] for at in sorted(out)]
 
 
-def _turns(x, least):
+def n_turns(x, least):
     """How often a coordinate turns back by more than so much."""
     low = high = x[0]
     count, way = 0, 0

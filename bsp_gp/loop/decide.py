@@ -15,6 +15,8 @@ SWAMPED = 0.1
 of what no law explains, the motion itself is left."""
 HARDLY_MORE = 2.0
 """Times what many kicks leave, up to which such a cause comes before them."""
+AS_LITTLE = 1.1
+"""Times what a cause leaves that another may leave to be as good."""
 PLAIN = 0.1
 """Part of what the base leaves, up to which a uniform push that leaves as much is taken first."""
 
@@ -100,6 +102,8 @@ def decide(table, criteria=None):
         return Decision("seen, not adopted", "no_better_than_before", seen, False, rivals)
     if _is_refused(best, criteria):
         return Decision("seen, not adopted", "held_out_refuses", best, False, rivals)
+    if best.is_alike and (alike := _as_good(best, candidates)):
+        return Decision("cannot tell", "kinds_tie", best, True, alike, False)
     is_fact = not any(_is_near(row, best, criteria) for row in rivals)
     if (weight := _weight_before(best, table)) is not None:
         return Decision("effect adopted", "adopted", weight, True, is_beside_more=True)
@@ -125,6 +129,14 @@ def _weight_before(best, table):
     return next(
         (row for row in table.candidates if row.code == "law" and row.n_pushes == row.n_terms > 0
          and row.left < PLAIN * table.base.left), None
+    )  # fmt: skip
+
+
+def _as_good(best, candidates):
+    """Causes of other kinds that foresee the motion and leave as little, tuple of Row."""
+    return tuple(
+        row for row in candidates
+        if row.kind in FORESEEING and row.kind != best.kind and row.left < AS_LITTLE * best.left
     )  # fmt: skip
 
 

@@ -1112,6 +1112,7 @@ class _Turn:
                 n_pushes=sum(set(formula.inputs) <= UNIFORM for formula in proposal.formulas),
                 n_kicks=_n_kicks(proposal.hypothesis) - _n_kicks(self.hypotheses[0]),
                 is_of_pairs=any(n[-2:] == "_j" for f in proposal.formulas for n in f.inputs),
+                is_alike=proposal.is_alike,
                 left=_left_by(self.fits.get(number), self.fits[0].n_rows),
             )
         )  # fmt: skip

@@ -75,6 +75,9 @@ class Proposal:
         takes off most of what is left: how motion is seen comes before what moves it.
     is_last : bool
         Whether it says all of the tracks: nothing is asked for beside it.
+    is_alike : bool
+        Whether no track like these tells it from a cause of another kind that leaves as little,
+        whatever fewer numbers make likelier: who goes round evenly is held by a rod, or drawn.
     news : dict of Formula to int
         Of terms of a series, how much each adds to what is known of textbooks.
     after : Proposal or None
@@ -107,6 +110,7 @@ class Proposal:
     has_other_starts: bool = False
     is_first: bool = False
     is_last: bool = False
+    is_alike: bool = False
     news: dict = field(default_factory=dict)
     after: object = None
     instead: object = None

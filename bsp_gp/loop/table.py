@@ -60,6 +60,8 @@ class Row:
         That it adds.
     is_of_pairs : bool
         Whether it adds a force between bodies.
+    is_alike : bool
+        Whether other kinds of causes that leave as little are as good, see `Proposal`.
     left : float, m
         Root mean square of what its fit leaves; nan where that is not known.
     """
@@ -84,6 +86,7 @@ class Row:
     n_terms: int = 0
     n_kicks: int = 0
     is_of_pairs: bool = False
+    is_alike: bool = False
     left: float = math.nan
 
     @property

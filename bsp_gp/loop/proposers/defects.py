@@ -10,6 +10,7 @@ import numpy as np
 
 from bsp_gp.data.noise import estimate_noise
 from bsp_gp.fitting.channels import join
+from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted
 from bsp_gp.fitting.tangent import as_pair
 from bsp_gp.loop.proposal import Family, Proposal
@@ -28,6 +29,8 @@ MOST_OFF, FEW_OFF = 0.05, 5
 """Part of the rows that may be off one by one, and how many may be of few."""
 MOST_BREAKS = 64
 """Ends of tracks of which it is asked whether they break."""
+MOVED, TINY = 12.0, np.finfo(float).tiny
+"""Levels of the noise that what moves goes at the least; as many rows at rest scatter by less."""
 FAR = ("swapped_tracks", "lost_track", "clock_jump", "untrimmed")
 """Beside which tracks were fitted that have little of the truth."""
 DETERMINED = 1e-7
@@ -84,7 +87,9 @@ class Defects:
                 ("lost_track", *_lost(windows), n_tried),
                 ("clock_jump", *_frames(moved), n_tried),
             ]
-        proposals = [proposal_of(view, *kind) for kind in kinds if kind[1]]
+        proposals = [
+            proposal_of(view, *kind) for kind in kinds if kind[1] and leave_motion(view, kind[1])
+        ]
         proposals.sort(key=lambda p: -p.promise)
         gain = max(float(even[0]), swapped, stands, jumps)
         return Family(self.name, tuple(proposals), gain, 2, even[1:], n_tried=n_still)
@@ -264,6 +269,20 @@ def proposal_of(view, code, parts, gain, n_tried):
         code, text, hypothesis, log_prior, float(gain), len(parts), kind="measurement",
         is_afresh=code in FAR,
     )  # fmt: skip
+
+
+def leave_motion(view, parts):
+    """Whether parts leave some body a motion: of what stands still no law says anything."""
+    levels = np.array(estimate_noise(view.dataset).sigma)
+    axes = np.isfinite(levels)
+    found = [0.0]
+    for scene in Hypothesis(tuple(parts)).seen(view.dataset).scenes:
+        places = scene.positions[:, scene.dynamic][..., axes]
+        is_seen = np.isfinite(places)
+        low, high = np.where(is_seen, places, np.inf), np.where(is_seen, places, -np.inf)
+        span = high.max(axis=0, initial=-np.inf) - low.min(axis=0, initial=np.inf)
+        found.append(float((span / np.maximum(levels[axes], TINY)).max(initial=0.0)))
+    return max(found) > MOVED
 
 
 def _paid(window, gains):

@@ -14,7 +14,7 @@ from bsp_gp.fitting.departures import departures, going_on
 from bsp_gp.fitting.hands import is_in_reach
 from bsp_gp.fitting.parts.defects import LeftOut
 from bsp_gp.loop.proposal import Family
-from bsp_gp.loop.proposers.defects import chains_of, proposal_of
+from bsp_gp.loop.proposers.defects import chains_of, leave_motion, proposal_of
 from bsp_gp.loop.proposers.untrimmed import is_open
 
 LEAST_ROWS, MOST_ROWS = 16, 2_000
@@ -55,7 +55,8 @@ class Hands:
         proposals = ()
         if is_told:
             parts, gains = zip(*found, strict=True)
-            proposals = (proposal_of(view, "untrimmed", parts, sum(gains), n_tried),)
+            if leave_motion(view, parts):
+                proposals = (proposal_of(view, "untrimmed", parts, sum(gains), n_tried),)
         return Family(self.name, proposals, float(even[0]), 2, even[1:], n_tried=n_tried)
 
 

@@ -269,7 +269,7 @@ def _proposal(view, kept, every, n_tried):
     proposal = Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names) + len(pushes), kind="constraint",
         judged=beside_probes(fit, hypothesis), error=level, is_sole=is_sole, patience=PATIENT,
-        is_afresh=True,
+        is_afresh=True, is_alike=bool(kept.way) and not (kept.is_sole or fit.law.terms),
     )  # fmt: skip
     if not braked:
         return proposal

@@ -14,7 +14,7 @@ import numpy as np
 
 from bsp_gp.fitting.fit import REFUTED
 from bsp_gp.fitting.hypothesis import Forces
-from bsp_gp.fitting.jumps import SIDE_ROWS, WINDOW, between, jumps, scatter
+from bsp_gp.fitting.jumps import ACROSS, SIDE_ROWS, WINDOW, between, jumps, n_turns, scatter
 from bsp_gp.fitting.parts.constraints import extent_of
 from bsp_gp.fitting.parts.defects import Resting
 from bsp_gp.fitting.parts.walls import count_of, places_of, wall_of
@@ -31,6 +31,8 @@ PLAIN = 2
 """Of these, those of a wall that is smooth and stands along an axis."""
 SLOWING = ("norm(v_i) * normalize(v_i)", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)")
 """What slows bodies between walls: linear and quadratic drag, friction."""
+SELDOM = 0.1
+"""Part of the times that bodies turn back at a side at which their velocities jump at a wall."""
 LEAST_SWEPT = 0.02
 """Part of the longest way, along whichever axis, that bodies go along an axis with walls."""
 ALIKE = 0.02
@@ -158,11 +160,20 @@ def walls_at(found, dataset):
         is_there = abs(jump.place[axis] - farthest) <= ALIKE * extent + ERRORS * jump.error
         if is_there and KEPT[0] <= kept <= KEPT[1]:
             groups.setdefault((axis, side), []).append(jump)
-    # Where a spring turns bodies back, or they shake, they are slow.
+    # Where a spring turns bodies back, or they shake, they are slow; and a row that is off is no
+    # wall at which they turn back smoothly otherwise.
     return {
         (axis, side): own for (axis, side), own in groups.items()
         if max(abs(jump.before[axis]) for jump in own) > SLOWEST * _fast(dataset, axis)
+        and len(own) >= SELDOM * _n_turns(dataset, axis) / 2
     }
+
+
+def _n_turns(dataset, axis):
+    """How often bodies turn back along an axis, on both sides."""
+    tracks = [s.positions[:, k] for s in dataset.scenes for k in s.dynamic]
+    tracks = [x[np.isfinite(x).all(axis=1)] for x in tracks]
+    return sum(n_turns(x[:, axis], ACROSS * scatter(x)) for x in tracks if len(x))
 
 
 def _fast(dataset, axis):
