@@ -331,3 +331,23 @@ def test_what_is_kicked_in_a_trap_wanders_as_noise_with_a_memory_does():
     assert (said.verdict, said.reason, said.best.code) == ("cannot tell", "kinds_tie", "kicks")
     less = replace(kicks, log_evidence=-5.0)
     assert decided(less, noise_p=1e-9).verdict == "the noise is not as assumed"
+
+
+def test_of_causes_that_tie_none_is_missing_for_sure_where_none_at_all_is_nearly_as_likely():
+    """Rounded readings of a fall showed "something": a kick, perspective, or an unseen body."""
+    tilt, base = row(2, "tilt", "measurement", gain=19.9), BASE
+    said = decided(row(1, gain=20.0), tilt, base=base)  # 10 - 5 - 4 nats: one more than none
+    assert (said.verdict, said.is_adopted) == ("seen, not adopted", False)
+    assert decided(row(1, gain=20.0)).is_adopted
+    likelier = row(2, "tilt", "measurement", gain=39.9)
+    assert decided(row(1, gain=40.0), likelier).reason == "kinds_tie"
+
+
+def test_who_goes_round_evenly_is_held_or_drawn():
+    rod = row(1, "rod", "constraint", gain=900.0, is_alike=True, left=1.0)
+    spring = row(2, gain=800.0, left=1.05)
+    said = decided(rod, spring)
+    assert (said.verdict, said.reason) == ("cannot tell", "kinds_tie")
+    assert [rival.id for rival in said.rivals] == [spring.id]
+    assert decided(rod, replace(spring, left=2.0)).verdict == "effect adopted"
+    assert decided(replace(rod, is_alike=False), spring).verdict == "effect adopted"

@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from bsp_gp.data.scene import Entity, Scene
+from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted, Swapped
@@ -14,7 +15,7 @@ from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import CAUSES
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.proposers.clocks import put_forward
-from bsp_gp.loop.proposers.defects import Defects
+from bsp_gp.loop.proposers.defects import Defects, leave_motion
 from bsp_gp.loop.proposers.stuck import is_broken
 from bsp_gp.loop.view import selected
 from bsp_gp.report.page import page_of
@@ -244,3 +245,15 @@ def test_what_starts_slowly_is_no_lost_track():
     held = np.where(np.arange(60)[:, None] < 20, way[40] + 0.02 * rng.standard_normal((60, 2)), way)
     lost = replace(scene, positions=held[:, None])
     assert is_broken(lost, "ball", 20)
+
+
+def test_what_stands_still_is_no_motion_that_is_left():
+    """Of a cart that was pushed once all rows that moved were left out, and a track was lost."""
+    rng = np.random.default_rng(0)
+    x = np.where(np.arange(80) < 30, np.arange(80) / 10.0, 3.0)
+    body = Entity("cart", properties={"mass": 1.0})
+    places = np.stack([x, 0 * x], axis=1) + 1e-3 * rng.standard_normal((80, 2))
+    data = Dataset("pushed", (Scene("1", 0.02 * np.arange(80), places[:, None], (body,)),))
+    view = SimpleNamespace(dataset=data)
+    assert not leave_motion(view, [LeftOut("1", 0, 32, "cart")])
+    assert leave_motion(view, [LeftOut("1", 60, 80, "cart")])

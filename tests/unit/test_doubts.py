@@ -133,3 +133,27 @@ def test_in_the_sky_a_kick_stands_for_a_passage(is_sky, said, monkeypatch):
     )
     monkeypatch.setattr(writing_up, "is_of_the_sky", lambda dataset: is_sky)
     assert _own_doubt(done, SimpleNamespace(exponents=()), None) == said
+
+
+def power(term, value, error, stated, is_told=True):
+    low, high = value - 1.645 * error, value + 1.645 * error
+    return {"term": term, "value": value, "low": low, "high": high, "stated": stated,
+            "is_told": is_told}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("exponents", "said"),
+    [
+        ([power("a", 1.23, 0.02, 1.0)], "another_power"), ([power("a", 1.23, 0.1, 1.0)], ""),
+        ([power("a", -2.000003, 1e-9, -2.0)], ""),  # no data are as exact as that
+        ([power(term, 1.2, 0.3, 1.0, is_told=False) for term in "ab"], ""),
+        ([power(term, 1.2, 0.3, 1.0, is_told=False) for term in "abc"], "open_powers"),
+    ],
+)  # fmt: skip
+def test_powers_that_are_others_or_open_in_many_forces_describe(exponents, said):
+    """A delayed force was two drags and a push of other powers; one odd force was three."""
+    best = SimpleNamespace(id=1, code="law", n_pushes=0)
+    done = SimpleNamespace(
+        decision=SimpleNamespace(best=best), proposals={1: SimpleNamespace()}, fits={}
+    )
+    assert _own_doubt(done, SimpleNamespace(exponents=exponents), None) == said

@@ -99,3 +99,16 @@ def test_a_marker_that_flickers_for_some_rows_is_hit_by_nothing():
         places[first : first + 3] += 1.5e-4 * np.outer([0.4, 1.0, 0.5], rng.standard_normal(2))
         found += len(kinks(times, places))
     assert found == 0
+
+
+def test_kinks_are_those_of_any_times_where_most_rows_are_even():
+    """Windows of the same times share one basis; few rows left out had cost all others theirs."""
+    places = slid(lambda v: -0.15 * v, kick=0.4)
+    kept = np.ones(len(TIMES), dtype=bool)
+    kept[[20, 150]] = False
+    (whole,), (some,) = kinks(TIMES, places), kinks(TIMES[kept], places[kept])
+    assert some.time == pytest.approx(whole.time, abs=1e-3)
+    assert some.gain == pytest.approx(whole.gain, rel=0.05)
+    jittered = TIMES + 1e-5 * np.random.default_rng(0).standard_normal(len(TIMES))
+    (other,) = kinks(jittered, places)
+    assert other.gain == pytest.approx(whole.gain, rel=0.05)

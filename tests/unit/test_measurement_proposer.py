@@ -150,3 +150,35 @@ def test_a_camera_is_turned_against_directions_that_are_declared_alone():
     for found, count in ((view.fit, 1), (isotropic, 0), (added, 0)):
         codes = [part.code for part in kinds_of(view.dataset, found)]
         assert codes.count("tilt") == count
+
+
+@pytest.mark.parametrize("code", ["scale", "clock"])
+def test_one_recording_alone_may_have_a_scale_or_a_clock_of_its_own(code):
+    """Lengths of one scene of five had been a camera that drifts, another weight, and a kick."""
+    data = throws(2)
+    odd, *others = data.scenes
+    change = {"positions": 1.04 * odd.positions} if code == "scale" else {"times": odd.times / 1.04}
+    data = replace(data, scenes=(replace(odd, **change), *others))
+    family = Measurement().propose(viewed(data))
+    best = family.proposals[0]
+    assert best.code in ("scale", "clock") and best.rank == 1  # a weight alone tells them not apart
+    part = best.hypothesis.parts[-1]
+    assert part.whose == (odd.name,)
+    new = fit(best.hypothesis, data)
+    assert new.chi2_red < 1.3
+    expected = 0.04 if code == "scale" else 1.04**2 - 1  # of the weight, as a scale
+    known = {"scale": expected, "clock": 1 / np.sqrt(1 + expected) - 1}
+    assert part.values[0] == pytest.approx(known[best.code], abs=0.01)
+
+
+def test_a_part_of_scenes_does_nothing_in_others():
+    data = throws(1)
+    view = viewed(data)
+    names = tuple(scene.name for scene in data.scenes)
+    for code in ("scale", "clock", "drift"):
+        part = Instrument(code, (0, 1) if code == "drift" else (), whose=names)
+        columns = instrument_columns(view.fit, part)
+        (first, *_) = instrument_columns(view.fit, replace(part, whose=names[:1]))
+        np.testing.assert_allclose(columns[0], first, atol=1e-12)
+        other = view.fit.channels.scene != list(view.fit.channels.scene_names).index(names[0])
+        assert not columns[0][:, other].any()

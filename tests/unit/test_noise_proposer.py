@@ -163,3 +163,15 @@ def test_a_memory_of_the_noise_is_known_in_held_out_scenes():
     assert noise.correlation_time == found.noise.correlation_time
     white = replace(found.noise, correlated=0.0, correlation_time=0.0)
     assert not ready.swapped(white).hypothesis.noise.is_correlation_known
+
+
+def test_noise_with_a_memory_is_asked_for_again_where_it_was_told_beside_other_forces():
+    """What is slow in a memory passes for a force where it is told beside what forces might do."""
+    rng = np.random.default_rng(3)
+    noise = lambda s, shape: SIGMA * with_memory(rng, shape, 0.9)  # noqa: E731
+    view = view_of(replace(throws(rng, n_rows=80, noise=noise), noise=None))
+    assert view.fit.noise.correlated
+    (proposal,) = proposed(view)
+    assert proposal.hypothesis.leaves_noise
+    alone = fit(proposal.hypothesis, view.dataset, near=view.fit)
+    assert alone.noise.correlated and alone.log_likelihood > view.fit.log_likelihood - 0.5

@@ -383,3 +383,17 @@ def test_a_run_in_which_a_body_only_stands_says_nothing_of_walls():
     proposals = Walls().propose(view_of(data, "0 [N] * e_x")).proposals
     assert proposals and all(np.isfinite(proposal.gain) for proposal in proposals)
     assert scatter(still.positions[:, 0]) == 0.0
+
+
+def test_a_row_that_is_off_in_many_turns_is_no_wall():
+    """Of 252 turns of a pendulum one was a bounce, and each side was followed as a flight."""
+    t = np.arange(2000) / 50
+    x = 0.4 * np.cos(3.0 * t) + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    body = Entity("bob", properties={"mass": 1.0})
+    data = Dataset("swing", (Scene("1", t, np.stack([x, 0 * x], axis=1)[:, None], (body,)),))
+    side = SimpleNamespace(
+        place=np.array([-0.4, 0.0]), before=np.array([-1.0, 0.0]), after=np.array([0.8, 0.0]),
+        error=1e-3,
+    )  # fmt: skip
+    assert walls_at([side], data) == {}
+    assert walls_at([side] * 12, data)
