@@ -20,7 +20,7 @@ from bsp_gp.cli_inputs import (
 from bsp_gp.cli_options import build_parser, joined
 from bsp_gp.cli_progress import Progress as _Progress
 from bsp_gp.cli_reports import run_again, run_record
-from bsp_gp.errors import BspError, DataError, SettingsError, on_command_line
+from bsp_gp.errors import BspError, DataError, FitError, SettingsError, on_command_line
 from bsp_gp.workers import hands
 
 CHECKED_LEVELS = 8
@@ -75,6 +75,11 @@ def main(argv=None):
         with contextlib.suppress(OSError, ValueError, AttributeError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except FitError as error:  # which knows numbers, and not from where they are
+        data = getattr(args, "data", None) or ()
+        files = ", ".join(map(str, [data] if isinstance(data, str) else data))
+        _say(f"error: {files}{': ' * bool(files)}{error}")
+        return 2
     except BspError as error:
         _say(f"error: {error}")
         return 2

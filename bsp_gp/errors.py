@@ -125,6 +125,6 @@ class EvaluationError(BspError):
 class FitError(BspError):
     """A fit did not converge; carries the best estimate so far as `.estimate`."""
 
-    def __init__(self, message, estimate=None):
-        super().__init__(message)
+    def __init__(self, message, estimate=None, remedy=None):
+        super().__init__(f"{message}; {remedy}" if remedy else message)
         self.estimate = estimate

@@ -550,7 +550,20 @@ def _of_rounded(times):
     Where many share a time, an even clock was tried and does not fit: a mean rate would be wrong.
     """
     steps = np.diff(times)
-    if (steps < 0).any() or (steps == 0).mean() > 0.5:
+    if (steps < 0).mean() > MOST_SLIPS:
+        return ""
+    if (steps == 0).mean() > 0.5:
+        rises = steps[steps > 0]
+        if not len(rises) or np.isclose(rises, np.median(rises), rtol=EVEN).mean() < 0.5:
+            return ""
+        count = len(times) / (len(rises) + 1)
+        return (
+            f"; if these are rows of one body one after another, digits are missing from the "
+            f"clock, which has {count:.3g} rows at each of its times: record it with more digits, "
+            "or if rows are even and their rate is known, leave it out: --columns ITS_NAME=ignore "
+            "--fps RATE"
+        )
+    if (steps < 0).any():
         return ""
     ties = np.flatnonzero(steps == 0)
     if len(ties) >= LEAST_TIES and len(times) >= LEAST_ROUNDED:

@@ -32,6 +32,7 @@ from bsp_gp.data.headings import (
     told,
 )
 from bsp_gp.data.polar import POLAR_COLUMNS
+from bsp_gp.data.polar_words import is_position_angle
 from bsp_gp.data.property_columns import quoted
 from bsp_gp.data.sniffing import DELIMITER_NAMES, sniff, split_line
 from bsp_gp.data.sources import open_source
@@ -44,7 +45,9 @@ from bsp_gp.units import Unit
 _NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "-", "–", "--", "---"]
 _NO_NUMBER = [*_NAN, "X", "x", "?", "*", "na", "n/a", "n.a.", "#N/A", "NULL", "None", "none"]
 """What stands for no value where a number is expected."""
-_HEAD_LINES = 60
+_HEAD_LINES, _MOST_LINES = 60, 10_000
+"""Lines from which a layout is guessed; and those that are looked at where columns without names
+are told."""
 _TIME = Unit.of(s=1)
 _BY_NUMBER = ", or say which column is which by its number: --columns t=1 x=2"
 
@@ -120,8 +123,12 @@ def read_table(path, *, rename=None, as_text=False):
     source, head = plain, head if plain is source else plain.head(_HEAD_LINES)
     marks = ("entity",) if as_text else ("t", "frame")
     try:
-        layout, within = _runs_in_sheets(sniff(head, dict(rename or {}), marks, path), source)
+        layout = sniff(
+            head, dict(rename or {}), marks, path, whole=lambda: source.head(_MOST_LINES)
+        )
+        layout, within = _runs_in_sheets(layout, source)
         source = source.without_comments(head[: layout.data_line])
+        source = _without_idle_ends(source, layout, head)
         short = _require_even_rows(source, layout, head)
     except csv.Error as error:  # such as a cell of more than 131,072 characters
         raise DataError(
@@ -298,7 +305,10 @@ def _with_bodies(frame, found):
         and not frame.duplicated([*keys, h.name]).any() and frame[h.name].notna().all()
         and (_names_bodies(h, frame) or (again.any() and frame[h.name].dtype.kind not in "fiub"))
     ]  # fmt: skip
-    named = [h for h in able if _names_bodies(h, frame)] or able
+    named = [h for h in able if _names_bodies(h, frame)]
+    # Names of double stars tell pairs apart, which have each its own primary.
+    is_star = any(h.name == "angle" and is_position_angle(h.theirs) for h in found)
+    named = named or ([] if is_star else able)
     if len(named) != 1:
         return frame, found
     (heading,) = named
@@ -390,6 +400,27 @@ def _require_even_rows(source, layout, head):
         _refuse_uneven(source, layout, head, cut[0], n_used)
     told = f"rows lack cells at their ends, which are not used: {len(short)}, the first is line"
     return (f"{told} {short[0]}",) if short else ()
+
+
+def _without_idle_ends(source, layout, head):
+    """The source without a delimiter at the end of rows that have nothing behind it, and a note."""
+    mark, n_cells = layout.delimiter, len(layout.names)
+    if mark is None or _adds_up(source, layout, head):
+        return source
+    lines = source.head(None)
+    idle = [
+        k for k in range(layout.data_line, len(lines))
+        if not lines[k].rpartition(mark)[2].strip()
+    ]  # fmt: skip
+    idle = [k for k in idle if len(split_line(lines[k], mark)) == n_cells + 1]
+    if not idle:
+        return source
+    for k in idle:
+        lines[k] = lines[k][: lines[k].rindex(mark)]
+    return source.with_text(
+        "\n".join(lines), f"rows end with a {DELIMITER_NAMES[mark]} and nothing behind it: "
+        f"{len(idle)}, the first is line {idle[0] + 1}"
+    )  # fmt: skip
 
 
 def _adds_up(source, layout, head):

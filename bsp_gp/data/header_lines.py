@@ -61,6 +61,18 @@ def names_in(head, number, delimiter, said=()):
     whole = split_line(line.lstrip("\ufeff"), delimiter)
     if len(cells) == count or count < 2:
         return cells
+    if not cells[-1:] == ("",) or not has_row_of(head, number, delimiter, len(cells)):
+        return _names_apart(line, cells, whole, count, delimiter)
+    return cells  # rows further down have as many
+
+
+def has_row_of(head, number, delimiter, n_cells):
+    """Whether a line below another has so many cells."""
+    return any(len(split_line(line, delimiter)) == n_cells for line in head[number + 1 :])
+
+
+def _names_apart(line, cells, whole, count, delimiter):
+    """Names of a line as many as a row has cells, where cells themselves are not."""
     if len(whole) == count and whole[0] in ("#", "%"):
         return whole
     bare = COMMENT.sub("", line).strip()

@@ -78,7 +78,10 @@ _OF_WHOM = re.compile(r"([xyz])[\s_.-]+([^\W\d]+)\s+(?:for|of|von|de|du|di|del|d
 """An axis, what of it, and whose: ``x-coordinate for point mass 1``."""
 _PRECISION = re.compile(r"(.*\S)\s*[(\[]\s*(?:±|\+/-|\+-)\s*[\d.,]+[^()\[\]]*[)\]]")
 """How sure a column is, behind its name: ``Time (s) (± 0.01 s)``."""
-_BODY_AFTER = re.compile(r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+))", re.IGNORECASE)
+_BODY_AFTER = re.compile(
+    r"([vs]?[xyz]|t)(?:[\s_.-]+(\w.*)|(\d+|(?<=[xyz])(?-i:[A-W])))", re.IGNORECASE
+)
+"""``x_red``, ``x2``, ``xA``."""
 
 
 _TIME_WORDS, _PLACE_WORDS = words_for("time"), words_for("place")
@@ -90,6 +93,10 @@ _FROM_WHERE = re.compile(r"\s+(?:of|from)\s+(?:the\s+)?(?:launch|start|origin|ho
 _UPRIGHT_WORDS = words_for("upright")
 RADIAL_NAMES = word_set("rv mnvel radvel rvel vrad")
 """Of velocities along the line of sight."""
+INSTRUMENTS = frozenset(
+    "tel telescope instrument instrumentid inst instr spectrograph ins observatory".split()
+)
+"""Words of columns that say by what a velocity was measured: each has a zero of its own."""
 _SPEED_WORDS = words_for("speed") | RADIAL_NAMES
 _ACCELERATION_WORDS = words_for("acceleration")
 _ERROR_WORDS = word_set(
@@ -105,7 +112,7 @@ _DOUBT_WORDS = _ERROR_WORDS | word_set(
 _WHOSE_SPEED_WORDS = word_set(
     "gps ground gnss abs absolute magnitude total norm modulus radial horizontal vertical x y z 2d"
     " 3d m s mps ms km h kmh kph cm mm px momentary instantaneous average mean smoothed filtered"
-    " raw"
+    " raw vector módulo modulo module modul"
 )
 _OTHER_WORDS = word_set(
     "gyroscope gyro magnetic field force kraft rotation angular omega winkel angle torque"
@@ -128,6 +135,8 @@ _DOTTED = re.compile(
 """A rate, as it is named after Newton's dots: ``x_dot``, ``thetaddot``, ``theta1_dot``."""
 _BEFORE_ANGLE = r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)"
 """An angle, a mark, and its unit."""
+_BARE_ANGLES = frozenset(("rad", "radians", "deg", "degrees", "°"))
+"""Units of angles that stand alone for an angle."""
 _COUNT_WORDS = word_set("nr no number num nummer index idx # id n° nº numéro número numero of the")
 _INPUT = re.compile(r"[ab]\d|&[a-z]")
 """Of an interface, as in ``s_A1``, and signs for Greek letters as CASSY writes them, ``&b_A1``."""
@@ -724,7 +733,7 @@ def _with_errors(found):
     """Beside the places of a body: their errors, if every one of them has a column of its own."""
     known = [h for h in found if h.sure != UNKNOWN and h.name in _PLACES]
     places = {(h.run, text): h for h in known for text in (_plain(h), f"{h.body}{h.name}".lower())}
-    errors = {}
+    errors, axes_of_plot = {}, _errors_of_plot(found, known)
     for before, h in zip([None, *found], found, strict=False):
         is_free = h.sure == UNKNOWN and not (h.is_renamed or h.ignored)
         match = _ERROR_OF.fullmatch(_plain(h)) if is_free else None
@@ -732,6 +741,8 @@ def _with_errors(found):
             continue
         text = match[1] or match[2]
         place = _place_of(places, h.run, text) if text else before if before in known else None
+        if text in axes_of_plot:
+            place = known[0] if text == "y" else None
         if place and (not h.unit or unit_of(h.unit) == unit_of(place.unit or "m")):
             errors.setdefault(place.owner, {}).setdefault(f"s{place.name}", []).append(h)
     of = {}
@@ -743,6 +754,17 @@ def _with_errors(found):
         replace(h, name=of[id(h)][0], body=of[id(h)][1], sure=GUESS) if id(h) in of else h
         for h in found
     ]
+
+
+def _errors_of_plot(found, known):
+    """Names of axes where errors are those of what is plotted: of x, the time, and of y.
+
+    The one place has another name than these there.
+    """
+    free = [_ERROR_OF.fullmatch(_plain(h)) for h in found if h.sure == UNKNOWN]
+    texts = {match[1] or match[2] for match in free if match}
+    is_other = len(known) == 1 and _plain(known[0]) not in ("x", "y")
+    return ("x", "y") if is_other and {"x", "y"} <= texts else ()
 
 
 def _place_of(places, run, text):
@@ -954,7 +976,11 @@ def _with_clocks_of_angles(found, bodies):
 
 def _with_only_angle(found):
     """The only column beside the clock, if its unit is one of angles: ``roll (deg)``."""
+    bare = [h for h in found if h.sure == UNKNOWN and not (h.unit or h.ignored or h.is_renamed)
+            and h.name.lower() in _BARE_ANGLES]  # fmt: skip
     told = [h for h in found if h.unit and unit_of(h.unit) != _TIME]
+    if len(bare) == 1 and not told:  # the heading is a unit, and nothing else
+        return [replace(h, name="x", unit=h.name, sure=GUESS) if h is bare[0] else h for h in found]
     if len(told) != 1 or told[0].sure != UNKNOWN or not is_angle(told[0].unit):
         return found
     if is_error(told[0].name) or told[0].is_renamed or told[0].ignored:
@@ -990,7 +1016,8 @@ def _of_body(heading):
         axis, body = after[1], after[2] or after[3]
     is_length = not unit or unit_of(unit) == _UNIT_OF[axis.lower()] if axis else False
     # Beside a unit a name is none itself: `A_x [AU]` is a star's place; `A_x` is anything.
-    names_unit = not (unit or heading.is_renamed or body.isdecimal()) and is_unit(body)
+    is_apart = body.isdecimal() or (after and after[3] and not before)
+    names_unit = not (unit or heading.is_renamed or is_apart) and is_unit(body)
     is_turn = bool({*re.split(r"[\W_]+", body.lower())} & _TURN_WORDS)
     if not body or not is_length or is_error(body) or names_unit or is_turn:
         return heading

@@ -23,6 +23,7 @@ _VECTORS = ("JDTDB", "VX", "VY", "VZ", "X", "Y", "Z")
 _UNITS = {"AU-D": ("au", "day"), "KM-S": ("km", "s"), "KM-D": ("km", "day")}
 _RECORD = re.compile(r"\s*(\d+\.\d+)\s*=\s*(?:A\.D\.|B\.C\.|\d)")
 _TIME = "t (day)"
+_ELEMENT = re.compile(r"\s*EC\s*=")
 _ENTRY = re.compile(r"\b(V?[XYZ])\s*=\s*([-+]?\d\.\d+E[-+]\d+)")
 
 
@@ -58,6 +59,12 @@ def plain_horizons(text, path):
         header, cells = _separated(named[-1], rows)
     else:
         header, cells = _by_width(named[-1].rstrip(), rows)
+    if "EC" in header or any(map(_ELEMENT.match, rows[:2])):
+        raise DataError(
+            "this table of Horizons has osculating elements of an orbit (EC, QR, IN, ...), and no "
+            "places at times", file=path,
+            remedy="ask Horizons for a vector table (Ephemeris Type: Vector Table)",
+        )  # fmt: skip
     if "JDTDB" in header:
         made, cells = _vectors(header, cells, length, time)
     else:
@@ -101,6 +108,36 @@ def _centre(above):
     site = re.search(r"Center-site name:\s*(.*?)\s*$", above, re.M)
     is_body = name is not None and site is not None and "barycent" not in name[1].lower()
     return name[1] if is_body and site[1].upper() in ("BODY CENTER", "BODYCENTRIC") else ""
+
+
+_OF_DATE = re.compile(r"(?:A\.D\.|B\.C\.) ?\d+-[A-Z][a-z]{2}-\d\d\b.*")
+_STEADY = 1e-3
+"""Part of it by which the difference of two clocks changes."""
+
+
+def vectors_among(columns, texts):
+    """How rows of a vector table without its names are said by the numbers of their columns; or "".
+
+    Behind Julian days and dates in words may stand how far apart two clocks are (delta-T).
+
+    Parameters
+    ----------
+    columns, texts : mapping of int to sequence of str
+        Number of a column, from 1 -> its cells, of those of numbers and of others.
+    """
+    dates = next((k for k, own in texts.items() if all(map(_OF_DATE.fullmatch, own))), None)
+    numbers = {k: [float(cell) for cell in own] for k, own in columns.items() if all(own)}
+    if dates is None or dates - 1 not in numbers:
+        return ""
+    behind = [k for k in numbers if k > dates]
+    if behind and np.ptp(numbers[behind[0]]) < _STEADY * np.median(numbers[behind[0]]):
+        behind = behind[1:]
+    if len(behind) < len("xyz"):
+        return ""
+    named = " ".join(f"{axis}={k}" for axis, k in zip("xyz", behind, strict=False))
+    return (f"--columns t={dates - 1} {named} --units time=day length=au (or km): dates are those "
+            "of JPL Horizons, whose whole output, as it is, tells the units and from which body "
+            "places count")  # fmt: skip
 
 
 _DAY, _FAR = 86_400.0, 1e4

@@ -25,13 +25,17 @@ from bsp_gp.data.headings import (
     property_of_words,
 )
 from bsp_gp.errors import UnitError
-from bsp_gp.units import ACCELERATION, DIMENSIONLESS, parse_unit
+from bsp_gp.units import ACCELERATION, DIMENSIONLESS, Unit, parse_unit
 
+SPEED = Unit.of(m=1, s=-1)
 MOST = 6
 """Columns that are asked."""
 AS_TIME, AS_PLACE, AS_MOTION, AS_OTHER = 1e-4, 1e-3, 5e-3, 1e-4
 """Part of its variance that a column must have beside the time, the places, the places and
 velocities, and the columns before it."""
+AS_VELOCITY = 0.1
+"""Part of its variance that a column must have beside a velocity of the body, if it is in a unit of
+one."""
 AS_DIFFERENCES = 0.1
 """Part of the variance of its second differences that must not follow from those of the track:
 what was computed of measured places shares their noise."""
@@ -127,7 +131,7 @@ def asked_of(dataset, taken=(), exclude=()):
     for name in names if tracks else ():
         values = _within([track.values(name) for track in tracks])
         if len(kept) < MOST and values is not None:
-            if not _follows(tracks, name, values, columns):
+            if not _follows(tracks, name, values, columns, dataset.logged[name][1]):
                 kept[name if name not in taken else name + _SUFFIX] = name
                 columns.append(values)
     found = _with_inputs(dataset, kept)
@@ -261,10 +265,10 @@ def _within(values):
     return whole - whole.mean() if is_varied else None
 
 
-def _follows(tracks, name, values, columns):
+def _follows(tracks, name, values, columns, unit):
     """Whether a column follows from the times and places, or from columns before it."""
     own = [track.values(name) for track in tracks]
-    if all(_is_count(v) for v in own):
+    if all(_is_count(v) for v in own) or _is_velocity(tracks, values, unit):
         return True
 
     def beside(parts):
@@ -285,6 +289,24 @@ def _follows(tracks, name, values, columns):
         if _left(quick, made) < AS_DIFFERENCES:
             return True
     return bool(columns) and _left(values, np.stack(columns, axis=1)) < AS_OTHER
+
+
+def _is_velocity(tracks, values, unit):
+    """Whether a column is the velocity of the body itself, in whatever language it is called so.
+
+    It goes as one of its parts, or as its size, but for noise; without a unit it is as large too.
+    """
+    if unit not in (SPEED, DIMENSIONLESS):
+        return False
+    parts = [track.velocities() for track in tracks]
+    parts = [np.column_stack([v, np.linalg.norm(v, axis=1)]) for v in parts]
+    parts = np.concatenate([p - p.mean(axis=0) for p in parts])
+    sizes, total = np.square(parts).sum(axis=0), float(values @ values)
+    parts, sizes = parts[:, sizes > 0], sizes[sizes > 0]
+    slopes = values @ parts / sizes
+    is_near = slopes**2 * sizes >= (1 - AS_VELOCITY) * total
+    is_large = np.abs(np.abs(slopes) - 1) < AS_VELOCITY
+    return bool((is_near & (is_large | (unit == SPEED))).any())
 
 
 def _are_ways(tracks, own):

@@ -2,8 +2,9 @@
 
 Layouts are those of the IGS ("The Extended Standard Product 3 Orbit Format": below a head that
 begins with ``#`` and ``##`` a line ``*`` says an epoch, and a line ``P`` below it where each
-satellite is, in km, on axes that turn with the Earth), of the CCSDS (orbit ephemeris messages), and
-of STK (``.e``). The body from which places count is at rest at the origin.
+satellite is, in km, on axes that turn with the Earth), of the CCSDS (orbit ephemeris messages), of
+STK (``.e``), and of the service Miriade of the IMCCE, whose comments say from where places count.
+The body from which they do is at rest at the origin.
 """
 
 import re
@@ -28,6 +29,8 @@ _MESSAGE = re.compile(
     r"\s*(?:(\w+)\s*=\s*(\S.*?)|(\d{4}-[\d-]+T[\d:]+(?:\.\d{1,6})?)\d*Z?((?:\s+[-+.\dEe]+){3,9}))\s*"
 )
 """A line of a message: what it says of what, or a date and numbers."""
+_FROM_SUN, _PLACE = re.compile(r"(?i)helio|sun\b"), re.compile(r"[XYZ] ?\(")
+"""Where places of Miriade begin, and their columns."""
 _STK = re.compile(r"^\s*(CentralBody|CoordinateSystem|DistanceUnit)\s+(\S.*?)\s*$", re.M)
 
 
@@ -77,6 +80,32 @@ def of_stk(text, path):
     unit = "km" if about.get("DistanceUnit", "").lower().startswith("kilo") else "m"
     frame = about.get("CoordinateSystem", "Fixed")
     return _table(rows, about.get("CentralBody", "Earth"), unit, frame)
+
+
+def of_miriade(text, path):
+    """The table of Miriade with its body by name, and the Sun, if places count from it.
+
+    Others, and places on the sky, stay as they are.
+    """
+    lines = [line for line in text.splitlines() if line.strip()]
+    above = " ".join(line for line in lines if line.startswith("#"))
+    header, *rows = ([cell.strip() for cell in line.split(",")]
+                     for line in lines if not line.startswith("#"))  # fmt: skip
+    centre = re.search(r"frameCentre:\s*(\w+)", above, re.IGNORECASE)
+    is_of_places = "rectangular" in above and header[:2] == ["Target", "Date"]
+    if not is_of_places or centre is None or not _FROM_SUN.match(centre[1]):
+        return text
+    names = ["entity", "Date", *header[2:]]
+    if any(len(row) != len(header) for row in rows):
+        raise ValueError("rows and names of columns are not as many")
+    kept = [0, 1, *(k for k, name in enumerate(header) if _PLACE.match(name))]
+    dates = dict.fromkeys(row[1] for row in rows)
+    still = [["Sun", date, *["0"] * (len(kept) - 2)] for date in dates]
+    out = [[row[k] for k in kept] for row in ([names] + rows)] + still
+    made = "\n".join("\t".join(row) for row in out) + "\n"
+    left = [name for k, name in enumerate(header) if k not in kept]
+    notes = ("places count from the Sun, which is at rest at the origin",)
+    return made, notes + (f"not used: {', '.join(left)}",) * bool(left)
 
 
 def elements(text, path):

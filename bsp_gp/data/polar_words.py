@@ -24,6 +24,8 @@ _FILLER = _set("angular obs observed measured de di of")
 _ERROR = _set("error err e sigma σ sig std sd unc uncertainty u fehler erreur incertitude ± +/-")
 _GLUED = re.compile(r"(?:err|sigma|sig|unc|e|σ|s)_?(.+)|(.+?)_?(?:error|err|sigma|sig|unc)")
 """``erho``, ``σθ``, ``PAerr``: an error without a blank."""
+_BEHIND = re.compile(r"(?<=[A-Za-z])(?=(?:Obs|Meas|Err)(?![a-z]))|(?<=\b[Tt])(?=obs\b)")
+"""In ``PAObs`` and ``Tobs``, before what changes little."""
 _YEAR = _set("year years yr jahr jahre année anno año jyear byear besselian bessel julian decimal")
 _DAY = _set("jd mjd hjd bjd rjd jdb btjd bkjd julian jdtdb jdut jdutc jdtt tdb tt utc")
 _SINCE = re.compile(r"\s*[-−–]\s*\d[\d.,]{3,}$")
@@ -33,6 +35,7 @@ _DATE = _set("date datetime epoch ep obs observed observation of time day days t
 
 def plain_words(text):
     """The words of a heading, lower case; ``P.A.`` is ``pa``."""
+    text = _BEHIND.sub(" ", text)
     words = re.split(r"[\s_\-()\[\]/,]+", text.lower().replace("+/-", "±"))
     return {word.replace(".", "") for word in words} - {""}
 

@@ -17,7 +17,7 @@ from bsp_gp.data.gps import NMEA, of_nmea
 from bsp_gp.data.horizons import plain_horizons
 from bsp_gp.data.minor_planets import OF_OBSERVATIONS, of_observations
 from bsp_gp.data.notes import listed
-from bsp_gp.data.orbits import OF_ELEMENTS, OF_SP3, elements, of_message, of_sp3, of_stk
+from bsp_gp.data.orbits import OF_ELEMENTS, OF_SP3, elements, of_message, of_miriade, of_sp3, of_stk
 from bsp_gp.errors import DataError
 
 _AXES = ("X", "Y", "Z")
@@ -328,7 +328,8 @@ def _ecsv(text, path):
 _KNOWN = {
     "PathFileType": _trc, "Format Version,": _motive, "Trajectories": _vicon,
     "NO_OF_FRAMES": _qualisys, "FILE_VERSION": _qualisys, '"TOA5"': _campbell, "MIN=": _cassy,
-    "CCSDS_OEM_VERS": of_message, "stk.v.": of_stk, "LabVIEW Measurement": _labview,
+    "CCSDS_OEM_VERS": of_message, "# Miriade": of_miriade, "stk.v.": of_stk,
+    "LabVIEW Measurement": _labview,
     "USNO Double Star": _washington, "Object:": _orbit_input, "# %ECSV": _ecsv,
     "Title:": _machine_readable, 'comment,"OptiTrack Export': _tracking_tools,
     **dict.fromkeys(NMEA, of_nmea),

@@ -13,6 +13,7 @@ import pandas as pd
 from bsp_gp.data.extent import JULIAN, YEARS, are_within
 from bsp_gp.data.headings import (
     BY_WORDS,
+    INSTRUMENTS,
     RADIAL_NAMES,
     is_doubt,
     is_error_of,
@@ -24,16 +25,13 @@ from bsp_gp.data.polar_words import is_julian
 from bsp_gp.data.property_columns import quoted
 from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK, SIGHT
+from bsp_gp.data.sniffing import MOST_INSTRUMENTS, MOST_SHOWN
 from bsp_gp.data.stars import with_date_unit
 from bsp_gp.errors import DataError, in_python
 from bsp_gp.units import is_speed
 
-INSTRUMENTS = frozenset(
-    "tel telescope instrument instrumentid inst instr spectrograph ins observatory".split()
-)
-"""Words of columns that say by what a velocity was measured: each has a zero of its own."""
-MOST_INSTRUMENTS, FEWEST = 12, 4
-"""Instruments of one star, and rows of one that tell more than its zero."""
+FEWEST = 4
+"""Rows of an instrument that tell more than its zero."""
 SIGHT_NAMES = ("rv", "srv")
 """How a caller names velocities along the line of sight, and their errors."""
 LEAST_DATE, UNEVEN = 1000.0, 3.0
@@ -265,25 +263,57 @@ def _by_instruments(table):
     """The table with the velocities of each instrument as a recording of its own."""
     if "scene" in table.frame:
         return table
+    named = [n for n in table.renamed if n in INSTRUMENTS and n in table.frame]
     of = {n: words_of(text) for n, text in table.unused.items() if n in table.frame}
-    names = [n for n, words in of.items() if words & INSTRUMENTS]
+    names = named or [n for n, words in of.items() if words & INSTRUMENTS]
     names = names or [n for n, words in of.items() if words == {"source"}]
     if len(names) != 1:
-        return table
+        return _told_of_instruments(table)
     (name,) = names
+    heading = table.theirs.get(name, table.unused.get(name, name))
     counts = table.frame[name].astype(str).value_counts()
     if not 1 < len(counts) <= MOST_INSTRUMENTS:
         return table
     few = sorted(counts.index[counts < FEWEST])
     if len(few) == len(counts):
         return table
-    told = f"{table.unused[name]!r} says by what each was measured: each has a zero of its own"
+    told = f"{heading!r} says by what each was measured: each has a zero of its own"
     if few:
         told += f"; left out, since few: {', '.join(f'{k} ({counts[k]})' for k in few)}"
     of = table.frame[name].astype(str)
     frame = table.frame.assign(scene=of)[~of.isin(few)].drop(columns=name)
     return replace(
         table, frame=frame, notes=(*table.notes, told),
-        theirs={**table.theirs, "scene": table.unused[name]},
+        theirs={**table.theirs, "scene": heading},
         unused={k: text for k, text in table.unused.items() if k != name},
     )  # fmt: skip
+
+
+def with_zeros_apart(table, declaration):
+    """The table with instruments that the caller names as recordings, of other velocities too."""
+    named = [name for name in declaration.columns if name in INSTRUMENTS and name in table.frame
+             and name not in declaration.units]  # fmt: skip
+    if len(named) != 1 or "scene" in table.frame or declaration.velocity == SIGHT:
+        return table
+    return replace(table, frame=table.frame.rename(columns={named[0]: "scene"}),
+                   theirs={**table.theirs, "scene": table.theirs.get(named[0], named[0])})
+
+
+def _told_of_instruments(table):
+    """The table with a check of the one column of texts that may name instruments."""
+    able = {
+        name: table.frame[name].dropna().astype(str).unique() for name in table.unused
+        if name in table.frame and table.frame[name].dtype.kind not in "fiub"
+    }  # fmt: skip
+    able = {name: own for name, own in able.items()  # who writes headings says it there
+            if table.unused[name].isdecimal() and 1 < len(own) <= MOST_INSTRUMENTS}  # fmt: skip
+    if len(able) != 1:
+        return table
+    ((name, own),) = able.items()
+    heading = table.unused[name]
+    listed = ", ".join(own[:MOST_SHOWN]) + " ..." * (len(own) > MOST_SHOWN)
+    note = in_python(
+        f"{CHECK}column {heading!r} has {listed}: where these are the instruments that measured "
+        f"each velocity, every one has a zero of its own: --columns instrument={quoted(heading)}"
+    )
+    return replace(table, notes=(*table.notes, note))

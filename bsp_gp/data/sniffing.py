@@ -13,6 +13,7 @@ from bsp_gp.data.extent import JULIAN, MODIFIED, YEARS, are_within
 from bsp_gp.data.header_lines import (
     COMMENT,
     below,
+    has_row_of,
     header_cells,
     is_rule,
     is_sentence,
@@ -21,6 +22,7 @@ from bsp_gp.data.header_lines import (
     split_line,
 )
 from bsp_gp.data.headings import (
+    INSTRUMENTS,
     TEXT_COLUMNS,
     UNKNOWN,
     Heading,
@@ -29,6 +31,8 @@ from bsp_gp.data.headings import (
     is_ignored,
     number_columns,
 )
+from bsp_gp.data.horizons import vectors_among
+from bsp_gp.data.scene import CHECK
 from bsp_gp.errors import DataError, in_python
 
 MOST_ABOVE = 12
@@ -36,6 +40,8 @@ MOST_ABOVE = 12
 LEAST_STEPS, RISES, ROUNDED = 4, 0.95, 2.01
 """Steps of a column that may be a clock, the part of them that goes up, and last digits by which
 those of an even one differ."""
+MOST_EVEN = 60
+"""Rows in which a clock is even, if it is: further down it may pause or begin anew."""
 ANY_RISE = 0.65
 """Part of the steps of no column that goes up, where none is a clock: half do of what wanders."""
 MOST_POWER = 300
@@ -46,15 +52,22 @@ _SAME_UNIT = 1e-3
 OLD, UNEVEN = 5.0, 2.0
 """How many times the span of a clock its first value is from 0 at least, if that is a date; and the
 upper quartile of its steps, in the lower one, at least."""
-LEAST_DATE, SMALL = 1000.0, 0.3
-"""Days that Julian dates count from a later zero, at the least; and errors in the span of what is
-measured, at the most."""
+LEAST_DATE, SMALL, MOST_JITTER = 1000.0, 0.3, 5.0
+"""Days that Julian dates count from a later zero, at the least; errors in the span of what is
+measured, and one for all rows in the size of its noise, at the most."""
 MOST_SHOWN = 6
 """Cells of a row that a complaint shows."""
+MOST_INSTRUMENTS = 12
+"""Names in a column of texts, of what velocities of one star were measured by."""
 _DELIMITERS = (",", ";", "\t", None)
 DELIMITER_NAMES = {",": "comma", ";": "semicolon", "\t": "tab", None: "white space"}
 _BRACKETS = re.compile(r"[(\[].*[)\]]")
 _VELOCITIES = "--columns t=1 rv=2 srv=3 of velocities along the line of sight"
+_OF_CALENDAR = re.compile(
+    r"\d{1,2}:\d\d(?::\d\d(?:\.\d*)?)?|(?:jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)[a-z]*",
+    re.IGNORECASE,
+)
+"""A part of a date in a column of its own."""
 _DIALECT = re.compile(r"^\ufeff?\"?sep=", re.IGNORECASE)
 """The line by which Excel is told of a delimiter."""
 
@@ -89,7 +102,7 @@ class Layout:
         return tuple(heading.name for heading in self.headings)
 
 
-def sniff(head, rename, marks, path):
+def sniff(head, rename, marks, path, whole=None):
     """Guess the layout of a file.
 
     Parameters
@@ -103,9 +116,13 @@ def sniff(head, rename, marks, path):
         distance and an angle).
     path : path-like
         For complaints.
+    whole : callable, optional
+        What gives more lines than the first ones, where something is told of columns without
+        names.
     """
     is_track = marks != ("entity",)
-    bare = _without_header(head, rename) if is_track else None
+    whole = whole or (lambda: head)
+    bare = _without_header(head, rename, whole) if is_track else None
     if bare is not None:
         return bare
     said = {*rename, *rename.values()}
@@ -126,25 +143,26 @@ def sniff(head, rename, marks, path):
     cells = _without_idle_end(head, number, delimiter, cells)
     found = headings(cells, rename, is_track=is_track)
     if COMMENT.match(head[number]) and is_track:
-        _require_names_of_all(head, number, found, path)
+        _require_names_of_all(head, number, found, path, whole)
     n_numbers, n_filled = sum(map(_is_number, cells)), len(list(filter(None, cells)))
     if n_numbers and (n_numbers == n_filled or 2 * n_numbers > len(cells) > 2):
         raise DataError(
             f"the first line holds {n_numbers} number(s) where the names of the columns are "
             "expected",
-            file=path, row=number + 1, remedy=_remedy_of_numbers(cells, head[number:], delimiter),
+            file=path, row=number + 1,
+            remedy=_remedy_of_numbers(cells, whole()[number:], delimiter),
         )  # fmt: skip
     return _finish(head, number, delimiter, found)
 
 
-def _without_header(head, rename):
+def _without_header(head, rename, whole):
     """The layout of a file of numbers alone, called by the numbers of their columns; or None.
 
     Where nobody says which column is which, they are t, x, y and z, if the first is a time.
     """
     first = next((k for k, s in enumerate(head) if s.strip() and not COMMENT.match(s)), len(head))
     said = {theirs.strip() for theirs in rename.values() if _is_number(theirs)}
-    names = {theirs for ours, theirs in rename.items() if ours in TEXT_COLUMNS}
+    names = {theirs for ours, theirs in rename.items() if ours in (*TEXT_COLUMNS, *INSTRUMENTS)}
     filled = [k for k in range(first, len(head)) if head[k].strip()]
     lines = [head[k] for k in filled]
     rows, delimiter = _rows_of_numbers(lines, said - names)
@@ -155,6 +173,9 @@ def _without_header(head, rename):
     numbers = [str(k + 1) for k in range(len(rows[0]))] if rows else []
     is_headed = any(COMMENT.match(line) and not is_sentence(line) for line in head)
     named = {} if said or is_headed else _named_by_place(rows, rename)
+    constant = _constant_error(named, lambda: whole()[first:], delimiter)
+    named = named | {"sx": named["y"]} if constant else named
+    named = {ours: number for ours, number in named.items() if not (constant and ours == "y")}
     if not named and not (said and said <= set(numbers)):
         return None
     options = " ".join(f"{name}={number}" for name, number in named.items())
@@ -163,6 +184,7 @@ def _without_header(head, rename):
         f"by its number: --columns {options}"
     )
     notes = (note,) if named else ()
+    notes += (_told_of_constant(constant, named),) if constant else ()
     notes += (f"lines of a title above the rows: {n_above}",) if n_above else ()
     return Layout(
         delimiter, headings(numbers, {**named, **rename}), ("",) * len(numbers), header_line=-1,
@@ -218,6 +240,36 @@ def _named_by_place(rows, rename):
     return dict(zip("txyz", kept, strict=False))
 
 
+def _constant_error(named, lines, delimiter):
+    """What all rows have in the third of three columns, if it may be the error of the second.
+
+    That is above 0, small beside what the second spans, and not far above what this jitters by.
+    """
+    if "".join(named) != "txy":
+        return ""
+    rows = [split_line(line, delimiter) for line in lines() if line.strip()]
+    x, y = (int(named[axis]) - 1 for axis in "xy")
+    own = {row[y] for row in rows if len(row) > y}
+    if len(own) != 1 or not all(_is_number(row[x] or "0") for row in rows if len(row) > y):
+        return ""
+    (constant,) = own
+    size = _numbers([constant])[0] if _is_number(constant) else 0.0
+    places = np.array(_numbers([row[x] for row in rows if len(row) > y]))
+    if len(places) <= LEAST_STEPS or not 0 < size < SMALL * np.ptp(places):
+        return ""
+    jitter = np.median(np.abs(np.diff(places, 3))) / (0.6745 * math.sqrt(20))
+    return constant if size < MOST_JITTER * jitter else ""
+
+
+def _told_of_constant(constant, named):
+    return in_python(
+        f"{CHECK}column {named['sx']} is {_numbers([constant])[0]:g} in every row: taken as the "
+        f"error of x; if it is a place, --columns t={named['t']} x={named['x']} y={named['sx']}; "
+        "if x is a velocity along the line of sight, --columns "
+        f"t={named['t']} rv={named['x']} srv={named['sx']}"
+    )
+
+
 def _numbers(cells):
     return [float(cell.replace(",", ".").replace("\u2212", "-") or "nan") for cell in cells]
 
@@ -238,12 +290,17 @@ def clock_among(columns):
         if len(steps) < LEAST_STEPS or not _rises(cells, RISES):
             continue
         rising.append(k)
-        is_count = all(step == 1 for step in steps)
-        least = 16 * sys.float_info.epsilon * max(map(abs, _numbers(cells)))  # of a difference
-        if not is_count and max(steps) - min(steps) <= max(ROUNDED * _last_digit(cells), least):
+        if not all(step == 1 for step in steps) and _is_even_clock(cells):
             even.append(k)
     found = even or rising
     return found[0] if len(found) == 1 else None
+
+
+def _is_even_clock(cells):
+    """Whether the steps of a column are one but for its last digits."""
+    steps = _steps(cells)
+    least = 16 * sys.float_info.epsilon * max(map(abs, _numbers(cells)))  # of a difference
+    return max(steps) - min(steps) <= max(ROUNDED * _last_digit(cells), least)
 
 
 def clocks_among(columns):
@@ -293,7 +350,7 @@ def _last_digit(cells):
     return 10.0 ** min(*ends, MOST_POWER)
 
 
-def _require_names_of_all(head, number, found, path):
+def _require_names_of_all(head, number, found, path, whole):
     """DataError where a comment names others than the columns of numbers: nobody knows which."""
     lines = [line for line in head[number:] if line.strip() and not COMMENT.match(line)]
     rows, delimiter = _rows_of_numbers(lines, set())
@@ -304,7 +361,9 @@ def _require_names_of_all(head, number, found, path):
             f"the comment above has {len(found)} name(s), of columns or of anything, and the rows "
             f"have {len(row)} columns; the first row is {' '.join(row[:MOST_SHOWN])}"
             f"{' ...' if len(row) > MOST_SHOWN else ''}",
-            file=path, row=number + 1, remedy=_remedy_of_numbers(row, lines, delimiter),
+            file=path, row=number + 1,
+            remedy=_remedy_of_numbers(row, [line for line in whole()[number:] if line.strip()
+                                            and not COMMENT.match(line)], delimiter),
         )  # fmt: skip
 
 
@@ -315,22 +374,36 @@ def _remedy_of_numbers(cells, lines, delimiter):
             "there are in a second: --columns x=1 --fps 25 (of speeds vx=1, of accelerations ax=1)"
         )
     remedy = "add a header such as t,x,y, or say which column is which by its number: "
-    columns = _columns_of(lines, delimiter, cells)
-    clocks = clocks_among(list(columns.values()))
+    columns, texts = _columns_of(lines, delimiter, cells)
+    # A column that turns back further down is no clock, however it begins.
+    few = {k: own[:MOST_EVEN] for k, own in columns.items()}
+    able = [k for k, own in columns.items() if _rises(own, RISES)]
+    clocks = [able[k] for k in clocks_among([few[k] for k in able])]
     unit = _unit_of_dates(columns.get(1, ())) if len(columns) > 2 else ""
-    if _is_calendar(columns):
+    if _is_calendar(columns) or (len(texts) > 1 and any(map(_has_clock, texts.values()))):
         return ("write what stands in several columns into one, dates as 2024-01-31T12:00:00 and "
                 "angles as 12:34:56.7, below names such as t,ra,dec or t,x,y")  # fmt: skip
+    clock = next((k for k, own in texts.items() if _has_clock(own)), None)
+    if clock is not None:
+        return f"column {clock} has times of a day: a header such as t,x,y reads them"
+    if vectors := vectors_among(columns, texts):
+        return remedy + vectors
     if not unit and _are_velocities([columns[k] for k in (1, 2, 3) if k in columns]):
         by_number = f"{_VELOCITIES} and their errors, or --columns t=1 x=2 y=3 of places"
+        by_number += _of_instruments(texts)
     elif unit:
         by_number = _beside_dates(columns)
         by_number += " with --units t=yr where dates are years" if unit == "yr" else ""
+        by_number += _of_instruments(texts) if "rv=" in by_number else ""
+    elif len(clocks) == 1 and _may_be_place(columns, few, *clocks):
+        by_number = _without_clock(columns)
+        by_number += f"; or t={clocks[0]} if column {clocks[0]}, which increases from row to row, "
+        by_number += "is a clock"
     elif clocks:
-        by_number = _by_clock(columns, [list(columns)[k] for k in clocks])
+        by_number = _by_clock(columns, clocks)
+        by_number += _of_instruments(texts) if "rv=" in by_number else ""
     elif columns and not any(_rises(own, ANY_RISE) for own in columns.values()):
-        by_number = "--columns x=1 y=2 --fps 25 (no column increases from row to row: if every row "
-        by_number += "is a frame, that says how many are in a second)"
+        by_number = _without_clock(columns)
     else:
         moved = {k: _steps(own) for k, own in columns.items()}
         t = next((k for k, own in columns.items() if _rises(own, RISES)), 1)
@@ -343,15 +416,50 @@ def _remedy_of_numbers(cells, lines, delimiter):
     return remedy + by_number
 
 
+def _has_clock(cells):
+    """Whether texts are hours, minutes and seconds, or names of months: parts of dates."""
+    return all(_OF_CALENDAR.fullmatch(cell) for cell in cells)
+
+
+def _without_clock(columns):
+    """How columns are said by their numbers where each row is a frame."""
+    axes = "xyz" if len(columns) == len("xyz") else "xy"
+    named = " ".join(f"{axis}={k}" for axis, k in zip(axes, columns, strict=False))
+    return (f"--columns {named} --fps 25 (no column is a clock for sure: if every row is a frame, "
+            "that says how many are in a second; --dt says the time of one)")  # fmt: skip
+
+
+def _may_be_place(columns, few, clock):
+    """Whether the one column that increases may be a coordinate: unevenly, while all others fall.
+
+    The first of columns is no coordinate but a clock.
+    """
+    others = [_steps(own) for k, own in columns.items() if k != clock]
+    is_first = clock == next(iter(columns))
+    all_fall = all(sum(step < 0 for step in steps) >= RISES * len(steps) for steps in others)
+    return len(columns) in (2, 3) and all_fall and not (is_first or _is_even_clock(few[clock]))
+
+
+def _of_instruments(texts):
+    """A column of texts that may name instruments, and how that is said."""
+    for k, cells in texts.items():
+        names = dict.fromkeys(filter(None, cells))
+        if 1 < len(names) <= MOST_INSTRUMENTS:
+            listed = ", ".join([*names][:3]) + " ..." * (len(names) > 3)
+            return f"; with instrument={k} where column {k} ({listed}) names what measured each"
+    return ""
+
+
 def _beside_dates(columns):
     """How columns are said by their numbers beside dates: of errors none is below 0."""
     sure = {k for k, own in columns.items() if all(n > 0 for n in _numbers(own))}
-    errors = next((own for own in ((3, 5), (4, 5), (3,)) if {*own} <= sure), ())
-    places = [k for k in (2, 3, 4) if k in columns and k not in errors][: len(errors) or 2]
+    own = [each for each in ((3, 5), (4, 5), (3,)) if 2 in columns and {*each} <= sure]
+    errors = next(iter(own), ())
+    places = [k for k in columns if k not in (1, *errors)][: len(errors) or 2]
     named = [f"{axis}={k}" for axis, k in zip("xy", places, strict=False)]
     named = [f"{own} s{own[0]}={k}" for own, k in zip(named, errors, strict=True)] or named
     options = [f"--columns t=1 {' '.join(named)}"]
-    if 3 in sure:
+    if {2, 3} <= {*columns} and 3 in sure:
         options.insert(len(errors) - 1, _VELOCITIES)
     told = f" ({' and '.join(map(str, errors))} being errors)" if errors else ""
     return ", or ".join(options) + told
@@ -404,17 +512,38 @@ def _by_clock(columns, clocks):
     sides = zip(("a_x", "a_y", "b_x", "b_y"), moving, strict=False)
     beside = " ".join(f"{name}={k}" for name, k in sides)
     beside = f"; of bodies side by side {beside}" if len(moving) > 3 else ""
-    return (f"--columns t={clock} x={x} (column {clock} increases from row to row{again}; y=, z= "
-            f"of further axes; t={clock} {pushes} of accelerations{beside})")  # fmt: skip
+    back = sum(step < 0 for step in _steps(columns[clock]))
+    back = f", but for {back} where it falls back" * bool(back)
+    sight = f"; t={clock} rv={clock + 1} srv={clock + 2} of velocities along the line of sight"
+    sight *= _are_errors(columns, clock + 1)
+    return (f"--columns t={clock} x={x} (column {clock} increases from row to row{back}{again}; "
+            f"y=, z= of further axes; t={clock} {pushes} of accelerations{beside}"
+            f"{sight})")  # fmt: skip
+
+
+def _are_errors(columns, k):
+    """Whether of three columns the last holds errors of one: above 0, and small beside its span."""
+    if not {k, k + 1} <= {*columns} or len(columns) != 3:
+        return False
+    values, errors = (np.array(_numbers(columns[n])) for n in (k, k + 1))
+    return bool((errors > 0).all() and np.median(errors) < SMALL * np.ptp(values))
 
 
 def _columns_of(lines, delimiter, cells):
-    """Columns of numbers, or empty cells, by their numbers from 1, in rows as long as the first."""
+    """Columns of numbers, and those of texts, by their numbers from 1.
+
+    Looked at are rows as long as the first. Numbers may lack in rows; what is empty in all, as
+    behind a comma at the end, is no column.
+    """
     rows = [split_line(line, delimiter) for line in lines if line.strip()]
     columns = zip(*(row for row in rows if len(row) == len(cells)), strict=True)
-    return {
-        k: own for k, own in enumerate(columns, 1) if all(_is_number(cell or "0") for cell in own)
-    }  # fmt: skip
+    numbers, texts = {}, {}
+    for k, own in enumerate(columns, 1):
+        if all(_is_number(cell or "0") for cell in own):
+            numbers[k] = own
+        else:
+            texts[k] = own
+    return {k: own for k, own in numbers.items() if any(own)} or numbers, texts
 
 
 def _ends(cells):
@@ -441,9 +570,10 @@ def _is_even(head, number, delimiter, cells):
 
 
 def _without_idle_end(head, number, delimiter, cells):
-    """Names of a header without the delimiter at its end, where the row below has none there."""
+    """Names of a header without the delimiter at its end, where no row below has as many cells."""
     n_below = len(split_line(below(head, number), delimiter))
-    return cells[:-1] if cells and not cells[-1] and 0 < n_below < len(cells) else cells
+    is_idle = bool(cells) and not cells[-1] and 0 < n_below < len(cells)
+    return cells[:-1] if is_idle and not has_row_of(head, number, delimiter, len(cells)) else cells
 
 
 def _likely_header(head):

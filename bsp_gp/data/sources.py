@@ -76,9 +76,13 @@ class Source:
         return self.path.open(encoding=self.encoding, newline=newline)
 
     def head(self, count):
-        """The first lines, without their ends."""
+        """The first lines, without their ends; all of them where `count` is None."""
         with self.open() as stream:
-            return [line.rstrip("\n") for _, line in zip(range(count), stream, strict=False)]
+            return [line.rstrip("\n") for line in itertools.islice(stream, count)]
+
+    def with_text(self, text, note):
+        """The same with another text, and a note of it."""
+        return replace(self, text=text, counts=_counts(text), notes=(*self.notes, note))
 
     @property
     def for_pandas(self):

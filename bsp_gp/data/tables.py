@@ -56,7 +56,7 @@ from bsp_gp.data.records import told_of_record
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, Dataset, Entity
 from bsp_gp.data.several import joined, tables_of
-from bsp_gp.data.sight import instead_of_places
+from bsp_gp.data.sight import instead_of_places, with_zeros_apart
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_named_dates, with_primary
 from bsp_gp.data.still import held_still
@@ -356,6 +356,7 @@ def _assemble(table, roster, declaration, default_name):
     declaration, input_notes = _with_inputs(table, declaration)
     table = from_maps(table, declaration)
     table, declaration = from_rates(table, declaration)
+    table = with_zeros_apart(table, declaration)
     table = without_other_units(table, declaration)
     declaration = _with_angles(table, declaration)
     table, declared = from_polar(

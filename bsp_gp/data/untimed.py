@@ -14,6 +14,7 @@ IN_TURN = "there is no column of times: bodies stand below each other in turn, a
 RISES = 0.8
 """Part of the steps of a clock that go up; it may begin anew where another recording begins."""
 _TIME = Unit.of(s=1)
+_RATE = "--fps 25 says how many are in a second, or --dt the time of one"
 _NAME_IT = 'add it, or say which it is: --columns t="..."'
 
 
@@ -43,11 +44,12 @@ def rows_as_frames(frame, found):
         and _may_order(frame[k])
     ]  # fmt: skip
     if doubtful:
-        return None, _remedy_of_doubt(doubtful, [found[k].theirs for k in doubtful])
+        able = [found[k].theirs for k in doubtful if _may_be_clock(frame[k])]
+        return None, _remedy_of_doubt(doubtful, [found[k].theirs for k in doubtful], able)
     if "entity" in names and "scene" not in names and _in_turn(frame[names.index("entity")]):
         n_bodies = frame[names.index("entity")].nunique()
         counted = pd.Series(np.arange(len(frame)) // n_bodies, frame.index)
-        return counted, f"{_NAME_IT}; if every round is a frame, --fps 25 says how many in a second"
+        return counted, f"{_NAME_IT}; if every round is a frame, {_RATE}"
     scenes = frame[names.index("scene")] if "scene" in names else pd.Series(0, frame.index)
     are_mixed = (scenes != scenes.shift()).sum() > scenes.nunique()
     if "entity" in names or are_mixed:
@@ -57,7 +59,7 @@ def rows_as_frames(frame, found):
         )
     lines = pd.Series(frame.index, frame.index)
     counted = lines - lines.groupby(scenes).transform("min")  # rows where all are lost count
-    return counted, f"{_NAME_IT}; if every row is a frame, --fps 25 says how many are in a second"
+    return counted, f"{_NAME_IT}; if every row is a frame, {_RATE}"
 
 
 def with_bodies_in_turn(frame, found):
@@ -100,14 +102,23 @@ def _may_order(cells):
     return bool(is_clock or (n_values <= len(cells) / 2 and (cells % 1 == 0).all()))
 
 
-def _remedy_of_doubt(places, names):
+def _may_be_clock(cells):
+    """Whether cells are numbers, or texts of which no two are the same, as dates are."""
+    return cells.dtype.kind in "iuf" or cells.is_unique
+
+
+def _remedy_of_doubt(places, names, clocks):
     if "" in names:
         place = places[names.index("")] + 1
         return f"column {place} has no name and may be it: give it one, such as t or frame"
-    quoted = [name if name.isidentifier() else f'"{name}"' for name in names]
+    quoted, able = ([name if name.isidentifier() else f'"{name}"' for name in own]
+                    for own in (names, clocks))  # fmt: skip
+    is_it = f"{' or '.join(quoted[:3])} is it, or " if able else f"{' or '.join(quoted[:3])} "
+    options = f"t={able[0]} (or frame=, entity=, scene=)" if able else (
+        f"scene={quoted[0]} (of bodies entity=)")  # fmt: skip
     ignored = " ".join(f"{name}=ignore" for name in quoted)
     return (
-        f"if {' or '.join(quoted[:3])} is it, or tells bodies or recordings apart, say so: "
-        f"--columns t={quoted[0]} (or frame=, entity=, scene=); if none does, and every row is a "
+        f"if {is_it}tells bodies or recordings apart, say so: --columns {options}; if none does, "
+        "and every row is a "
         f"frame: --columns {ignored} and --fps 25"
     )

@@ -156,7 +156,12 @@ class Restricted:
         """The whitened residual after the projection, and its leverage."""
         found = self._eliminate(whitener)
         if found is None:
-            raise FitError("the noise of the residual cannot be separated from what is fitted")
+            raise FitError(
+                "the noise of the residual cannot be separated from what is fitted: "
+                f"{self.n_rows} numbers were measured, {self.n_free} of what is fitted are free",
+                remedy="see whether every column is what it is taken for (bsp-gp check), leave out "
+                "stretches in which nothing moves, or add rows",
+            )
         value, rows, lower, across, shared, along = found
         q = self._q
         local = np.linalg.solve(lower, np.broadcast_to(np.eye(q), lower.shape))

@@ -98,7 +98,7 @@ def test_frames_of_which_every_fifth_was_looked_at_stay_what_they_are(tmp_path):
 def test_what_may_be_a_clock_or_tell_rows_apart_is_asked_for(tmp_path, further):
     path = table(tmp_path, "q,x,y", *rows(further, *zip(*XY, strict=True)))
     for rate in ({}, {"fps": 10}):
-        with pytest.raises(DataError, match=r'"t": "q".*columns=.*"q": "ignore".* fps=25'):
+        with pytest.raises(DataError, match=r'"(t|scene)": "q".*columns=.*"q": "ignore".* fps=25'):
             bsp_gp.load_dataset(path, **rate)
     (scene,) = bsp_gp.load_dataset(path, fps=10, columns={"q": "ignore"}).scenes
     np.testing.assert_allclose(scene.times, np.arange(N) / 10)
