@@ -67,7 +67,7 @@ MOST_BESIDE = 0.1
 """Part of what a law leaves, up to which a rod or a rail leaves little."""
 MOST_IN_TIME = 0.3
 """The same of a law that is told as a description where the time is up."""
-ALL_IN_TIME = 1e-6
+ALL_IN_TIME = 1e-3
 """The same of one that is adopted all the same."""
 MOST_HELD = 3
 """Rods and rails that are fitted before all else."""

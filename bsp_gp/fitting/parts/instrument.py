@@ -96,12 +96,12 @@ class Instrument(Part):
         """True place and time, nodes of a graph; `is_driven` where forces do not move a body."""
         numbers = [g.constant(name) for name in self.names]
         if self.code == "clock":
-            return place, g.div(time, g.add(g.one, self._here(g, numbers)))
+            return place, g.div(time, g.add(g.one, self.here(g, numbers)))
         if self.code in _UNDO:
             place = _UNDO[self.code](self, g, place, time, is_driven, numbers)
         return tuple(place), time
 
-    def _here(self, g, numbers):
+    def here(self, g, numbers):
         """The one number, or that of the scene: nothing in others."""
         if not self.whose:
             return numbers[0]
@@ -116,7 +116,7 @@ class Instrument(Part):
 
 
 def _scale(part, g, place, time, is_driven, c):
-    size = g.add(g.one, part._here(g, c))
+    size = g.add(g.one, part.here(g, c))
     return [g.div(x, size) for x in place]
 
 

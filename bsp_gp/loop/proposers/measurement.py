@@ -93,7 +93,8 @@ def kinds_of(dataset, fit):
     drift = Instrument(
         "drift", axes, size / span, epoch=min(float(s.times[0]) for s in scenes)
     )
-    out = [Instrument("scale"), Instrument("clock"), drift]
+    scale, clock = Instrument("scale"), Instrument("clock")
+    out = [scale, clock, drift]
     out.append(Instrument("exposure", (), (FRAMES * step) ** 2))
     if dataset.is_film:  # the picture is read within a frame
         out += [Instrument("shutter", (k,), step / size, **picture) for k in axes]
@@ -116,7 +117,7 @@ def kinds_of(dataset, fit):
         out.append(Instrument("offset", axes, FAR * size))
     if 1 < len(scenes) <= MOST_SCENES:
         names = tuple(s.name for s in scenes)
-        out += [replace(part, whose=names) for part in (drift, *out[:2])]
+        out += [replace(part, whose=names) for part in (scale, clock, drift)]
     names = dict.fromkeys(s.names[k] for s in scenes for k in s.dynamic)
     if max(len(s.entities) for s in scenes) > 1 and len(names) <= MOST_BODIES:
         out += [Instrument("delay", (), FRAMES * step, whose=(name,)) for name in names]
