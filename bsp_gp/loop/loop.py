@@ -284,6 +284,7 @@ class _Run:
             if not found.is_failed:
                 view.noise_findings = noise_findings(view)
             held = self.held(number, found, hypothesis, view)
+            held = held or self.drawn(number, found, hypothesis, view)
             turn = held or turn
             if held is None:
                 turn.propose(number, view, self.proposers)
@@ -337,6 +338,25 @@ class _Run:
         is_whole = turn.fit_held(sole[:MOST_HELD]) and not (turn.left_out or turn.unasked)
         return turn if is_whole else None
 
+    def drawn(self, number, found, hypothesis, view):
+        """A turn that asks for gravity alone, where the sky shows it and it takes most; else None.
+
+        Hardly anything else moves what is up there: before it is known no other form is asked for,
+        of which many explain orbits of few turns as well.
+        """
+        if found.is_failed or found.law.terms or not view.is_sky:
+            return None
+        turn = _Turn(self, found, hypothesis)
+        turn.propose(number, view, [p for p in self.proposers if hasattr(p, "is_of_sky")])
+        turn.families = [
+            replace(f, proposals=first, n_controls=len(first), is_control=False)
+            for f in turn.families if (first := tuple(p for p in f.proposals if p.is_first))
+        ]  # fmt: skip
+        if not turn.families or turn.p_of_all(view, self.looks) > self.criteria.alpha:
+            return None
+        turn.fit_best()
+        return turn if turn.has_most and not (turn.left_out or turn.unasked) else None
+
     def details(self, best, turn, view, rng):
         """What its proposer tells of the likeliest cause, if it does."""
         proposer = next((p for p in self.proposers if best and p.name == best.source), None)
@@ -388,6 +408,7 @@ class _Turn:
         self.found, self.kept, self.spare = ({False: 0.0, True: 0.0} for _ in range(3))
         self.leaving_nothing = []  # laws that do: row, numbers, and how likely they are
         self.explained = None  # what the first of those says of others
+        self.has_most = False  # whether what is asked before all else explains most
 
     def note_time(self, code):
         """Note what may be left out; whether the time is up."""
@@ -548,7 +569,6 @@ class _Turn:
         heads = {f.name: f.proposals[0] for f in self.families if f.proposals}
         broken = []  # proposals of all there is that left much, and reduced chi-squared
         unkept = {}  # by family, fits that are no likelier than the law as it is
-        has_most = False  # whether what is asked before all else explains most
         fits, n_left = self._fits(queue), self.most_fits
         n_most, n_fits = len(controls) + n_left, 0
         for k, (source, proposal) in enumerate(queue):
@@ -593,8 +613,8 @@ class _Turn:
             is_left = self.judged.get(row.id, 0.0) > EXPLAINED
             if proposal.is_sole and is_left and proposal.instead is None:
                 broken.append((proposal, self.judged[row.id]))
-            has_most |= proposal.is_first and row.is_fit and self._is_most(row)
-            if has_most and not (k + 1 < n_first and queue[k + 1][1].is_first):
+            self.has_most |= proposal.is_first and row.is_fit and self._is_most(row)
+            if self.has_most and not (k + 1 < n_first and queue[k + 1][1].is_first):
                 break
             if row.is_fit or not (is_open or proposal.formulas or proposal.instead):
                 is_likelier = row.log_posterior > self.rows[0].log_posterior

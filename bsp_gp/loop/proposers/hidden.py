@@ -75,6 +75,7 @@ class Hidden(Sources):
     """Unseen sources as a proposer."""
 
     name = "hidden"
+    is_of_sky = True
 
     def propose(self, view):
         """The family of sources at rest, and for a single recording of moving ones."""

@@ -43,6 +43,7 @@ class Sources:
 
     name = "sources"
     is_alone = False
+    is_of_sky = True
 
     def propose(self, view):
         """The family of all powers."""
