@@ -63,18 +63,18 @@ def test_the_kind_that_is_there_comes_first():
 def test_codes_priors_bounds_and_starts():
     data = throws(1, tilted)
     family = Measurement().propose(viewed(data))
-    counts = {}
-    for part in kinds_of(data, viewed(data).fit):
-        n_alone = len(part.whose) if len(part.whose) > 1 else 0  # each scene by itself as well
-        counts[part.code] = counts.get(part.code, 0) + 1 + n_alone
+    kinds = kinds_of(data, viewed(data).fit)
+    counts = {code: sum(part.code == code for part in kinds) for code in {p.code for p in kinds}}
     assert counts["slant"] == counts["perspective"] == 2
-    n_scenes = len(data.scenes)
-    assert counts["drift"] == counts["scale"] == counts["clock"] == 2 + n_scenes
+    assert counts["drift"] == counts["scale"] == counts["clock"] == 2  # of all, and in each scene
     assert "offset" not in counts and "delay" not in counts  # nothing fixed, one body
     for p in family.proposals:
         assert p.code in CAUSES
-        assert p.log_prior == pytest.approx(-3.0 - np.log(counts[p.code]))
-        for number in p.hypothesis.parts[-1].parameters:
+        part = p.hypothesis.parts[-1]
+        n = len(data.scenes) if len(part.whose) == 1 else 1 if part.whose else counts[p.code]
+        n = 1 if p.code in ("drift", "scale", "clock") and not part.whose else n
+        assert p.log_prior == pytest.approx(-3.0 - np.log(n))
+        for number in part.parameters:
             assert number.low <= number.start <= number.high
     # Bodies that fall in nothing are not seen to drift: their initial states take it up.
     assert "drift" not in {p.code for p in family.proposals}

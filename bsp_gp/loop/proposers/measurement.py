@@ -33,10 +33,10 @@ class Measurement:
         known = set(view.fit.law.constants)
         kinds = kinds_of(view.dataset, view.fit)
         told = [pair for p in kinds if known.isdisjoint(p.names) for pair in _columns(view.fit, p)]
-        codes, tried = [part.code for part, _ in told], []
+        alike, tried = [_alike(part) for part, _ in told], []
         for part, columns in told:
             score = view.tangent.score(columns)
-            log_prior = -view.criteria.cause_nats - math.log(codes.count(part.code))
+            log_prior = -view.criteria.cause_nats - math.log(alike.count(_alike(part)))
             proposal = _proposal(view, part, score, log_prior)
             if proposal is not None:
                 by_chance = gains(view.tangent.projected(columns), view.row_draws)
@@ -50,6 +50,11 @@ class Measurement:
         return Family(
             self.name, tuple(proposals), best.statistic, best.rank, null, n_tried=len(tried)
         )  # fmt: skip
+
+
+def _alike(part):
+    """What an error is one of several of: those of one body or scene are."""
+    return part.code, min(len(part.whose), 2)
 
 
 def _columns(fit, part):
