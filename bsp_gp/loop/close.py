@@ -521,7 +521,7 @@ def _written(
     bound = (asked.bound if asked else None) or rounds[-1].hidden_bound
     doubt = (
         writing_up.doubt_of_periods(rounds, pruned.removed)
-        or writing_up.doubt_of_orbits(rounds, pruned.removed)
+        or writing_up.doubt_of_orbits(rounds, pruned.removed, criteria)
         or writing_up.doubt_of_sources(rounds, pruned.removed)
         or writing_up.doubt_of_bounds(rounds, pruned.removed)
         or writing_up.doubt_of_axes(rounds, pruned.removed, dataset)

@@ -16,7 +16,7 @@ REASONS = (
     "not_placed",
     "swamped", "slight", "at_bound", "much_left", "more_left", "laboratory", "poorly_foreseen",
     "smooth_kicks", "open_powers", "another_power", "odd_power", "season",
-    "passage",
+    "alias", "passage",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
 "strength_varies": adopted as a description, since its constant is not the same everywhere;
@@ -36,6 +36,7 @@ notably off, though not surely worse; "smooth_kicks": random kicks so slight tha
 changes smoothly is as likely; "open_powers": several forces of which the data do not tell a power;
 "another_power": one that the data surely tell is another; "odd_power": one that is no multiple of a
 half, beside a steady push; "season": orbits of which one has the period of the Earth's year or day;
+"alias": or one that looks alike to who looks once a day;
 "passage": a velocity that jumps in the sky."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""

@@ -22,6 +22,7 @@ from bsp_gp.fitting.starts import roles_of
 from bsp_gp.language.formula import Call, Input, Number, factors, walk
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
+from bsp_gp.loop.aliases import has_alias
 from bsp_gp.loop.constancy import Z_90, Constancy, powers_beside
 from bsp_gp.loop.criteria import FORESEEING, KICKED
 from bsp_gp.loop.decide import share_of_listed
@@ -49,7 +50,7 @@ DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
     "likelier_refused", "noise_likelier", "at_bound", "much_left", "more_left", "laboratory",
     "poorly_foreseen", "smooth_kicks", "open_powers", "another_power", "odd_power", "season",
-    "passage",
+    "alias", "passage",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
@@ -361,12 +362,13 @@ def doubt_of_periods(rounds, removed):
     return ""
 
 
-def doubt_of_orbits(rounds, removed):
+def doubt_of_orbits(rounds, removed, criteria):
     """Why orbits that rounds have added are none for sure; "" where nothing says so.
 
     Stars are looked at from the Earth: what its year, half of it or its day does to instruments
-    and to when stars are seen comes back as a companion would. What did not come back as long as
-    the star was looked at may be of any form, and one of several orbits two.
+    and to when stars are seen comes back as a companion would, and one period looks like another.
+    What did not come back as long as the star was looked at may be of any form, and one of several
+    orbits two.
     """
     for r in _kept(rounds, removed):
         found = r.fits[r.decision.best.id]
@@ -380,6 +382,8 @@ def doubt_of_orbits(rounds, removed):
                 return "season"
             if period * turns > longest(found):
                 return "few_periods"
+            if has_alias(found, part, criteria.separation):
+                return "alias"
     return ""
 
 

@@ -110,6 +110,8 @@ REASONS = {
     "passage of some body, or a burn",
     "season": "a period is that of the Earth's year, half of it or its day: what these do to "
     "instruments, and to when stars are seen, comes back as a companion would",
+    "alias": "whoever looks at a star once a night cannot tell its period from another, whose rate "
+    "is less or more by a turn a day",
     "held_out_disagrees": "it describes the tracks that it was found in, but what was held out "
     "does not follow it within the noise",
     "likelier_refused": "what is likelier on the tracks in which laws are looked for makes "

@@ -10,6 +10,7 @@ from bsp_gp.fitting.hypothesis import Hypothesis, Parameter
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.orbits import AnyAngle, Orbit, Trend
 from bsp_gp.inference.priors import Prior
+from bsp_gp.loop.aliases import has_alias
 from bsp_gp.loop.close import close_loop
 from bsp_gp.report.summary import summary_text
 from bsp_gp.report.unseen_body import rivals_of
@@ -239,3 +240,21 @@ def test_noise_alone_has_no_companion(tmp_path, rng):
         n_bootstrap=0,
     )
     assert report.verdict == "nothing missing"
+
+
+@pytest.mark.parametrize(("size", "is_alike"), [(2.5, True), (40.0, False)])
+def test_a_slight_companion_of_a_star_seen_once_a_night_has_two_periods(
+    rng, tmp_path, size, is_alike
+):  # fmt: skip
+    """Of TOI-560 half a turn of the star, 6.1 d, was a companion of 1.1952 d, as a fact."""
+    dates, speeds, errors = observed(rng, 60, 700, (6.12, size, 0.4))
+    data = load_dataset(write(tmp_path / "star.csv", dates, speeds, errors))
+    middle = float(data.scenes[0].times.mean())
+    part = Orbit((
+        Parameter("P1", low=5 * DAY, high=7 * DAY, start=6.12 * DAY),
+        Parameter("K1", low=0.0, high=1e3, start=size),
+        Parameter("longitude1", start=0.4 + 2 * np.pi * middle / DAY / 6.12, prior=AnyAngle()),
+    ), middle)  # fmt: skip
+    found = fit(Hypothesis.from_laws(data, []) + Hypothesis((part,)), data)
+    assert found.values[1] == pytest.approx(size, abs=1.5)
+    assert has_alias(found, found.law.frame[-1], 16.0) is is_alike
