@@ -67,9 +67,11 @@ def decide(table, criteria=None):
         return Decision("seen, not adopted", "no_candidate_fits")
     best = candidates[0]
     noise = next((row for row in candidates if row.kind == "noise"), None)
+    # Of a base that has a memory, more of it is another noise only where that is likelier.
+    more = SAME_MINIMUM if math.isinf(table.forced) else criteria.tie_nats
     is_near = noise is not None and (
         best.log_posterior - noise.log_posterior < criteria.noise_nats
-        and noise.log_posterior > table.base.log_posterior + SAME_MINIMUM
+        and noise.log_posterior > table.base.log_posterior + more
     )  # fmt: skip
     if is_near:
         told = Decision("the noise is not as assumed", "noise_explains", noise, True)

@@ -351,3 +351,13 @@ def test_who_goes_round_evenly_is_held_or_drawn():
     assert [rival.id for rival in said.rivals] == [spring.id]
     assert decided(rod, replace(spring, left=2.0)).verdict == "effect adopted"
     assert decided(replace(rod, is_alike=False), spring).verdict == "effect adopted"
+
+
+def test_more_of_a_memory_that_the_base_has_is_another_noise_only_where_it_is_likelier():
+    """A bead that sinks was noise with a memory, which the base had and was as likely with."""
+    kicks = row(1, "kicks", "kicks", gain=40.0)
+    for gain, forced, said in ((35.0, -np.inf, "noise_explains"), (35.0, -40.0, "noise_explains"),
+                               (31.0, -40.0, "adopted")):  # fmt: skip
+        noise = row(2, "noise", "noise", gain=gain + 1.0)
+        base = replace(BASE, log_evidence=0.5 * 30.0 - 5.0 - 4.0)
+        assert decided(kicks, noise, base=base, forced=forced).reason == said
