@@ -8,6 +8,7 @@ periods it is stays open.
 import numpy as np
 
 from bsp_gp.data.ephemeris import DAY_S
+from bsp_gp.fitting.parts.orbits import Orbit
 from bsp_gp.loop.proposers.orbits import SIDEREAL_DAY
 
 N_NEAR = 41
@@ -44,7 +45,7 @@ def has_alias(found, orbit, separation):
         basis = whitened([*map(np.cos, angles), *map(np.sin, angles), *zeros]).T
         return np.square(target - basis @ np.linalg.lstsq(basis, target, rcond=None)[0]).sum()
 
-    own = [part for part in law.frame if hasattr(part, "is_circle")]
+    own = [part for part in law.frame if isinstance(part, Orbit)]
     rates = {part: 2 * np.pi / law.constants[part.names[0]] for part in own}
     rate, turn = rates.pop(orbit), 2 * np.pi / np.ptp(times[channels.seen])
     near = turn * np.linspace(-1.0, 1.0, N_NEAR)

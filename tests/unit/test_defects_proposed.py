@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -254,6 +253,6 @@ def test_what_stands_still_is_no_motion_that_is_left():
     body = Entity("cart", properties={"mass": 1.0})
     places = np.stack([x, 0 * x], axis=1) + 1e-3 * rng.standard_normal((80, 2))
     data = Dataset("pushed", (Scene("1", 0.02 * np.arange(80), places[:, None], (body,)),))
-    view = SimpleNamespace(dataset=data)
-    assert not leave_motion(view, [LeftOut("1", 0, 32, "cart")])
-    assert leave_motion(view, [LeftOut("1", 60, 80, "cart")])
+    levels = np.array([1e-3, 1e-3])
+    assert not leave_motion(data, [LeftOut("1", 0, 32, "cart")], levels)
+    assert leave_motion(data, [LeftOut("1", 60, 80, "cart")], levels)

@@ -29,6 +29,8 @@ MOST_OFF, FEW_OFF = 0.05, 5
 """Part of the rows that may be off one by one, and how many may be of few."""
 MOST_BREAKS = 64
 """Ends of tracks of which it is asked whether they break."""
+WITHOUT_ENDS = ("lost_track", "untrimmed")
+"""What leaves out so many rows on end that the rest may be no motion."""
 MOVED, TINY = 12.0, np.finfo(float).tiny
 """Levels of the noise that what moves goes at the least; as many rows at rest scatter by less."""
 FAR = ("swapped_tracks", "lost_track", "clock_jump", "untrimmed")
@@ -87,9 +89,12 @@ class Defects:
                 ("lost_track", *_lost(windows), n_tried),
                 ("clock_jump", *_frames(moved), n_tried),
             ]
-        proposals = [
-            proposal_of(view, *kind) for kind in kinds if kind[1] and leave_motion(view, kind[1])
-        ]
+        kinds = [kind for kind in kinds if kind[1]]
+        if any(code in WITHOUT_ENDS for code, *_ in kinds):
+            levels = np.array(estimate_noise(view.dataset).sigma)
+            kinds = [kind for kind in kinds if kind[0] not in WITHOUT_ENDS
+                     or leave_motion(view.dataset, kind[1], levels)]  # fmt: skip
+        proposals = [proposal_of(view, *kind) for kind in kinds]
         proposals.sort(key=lambda p: -p.promise)
         gain = max(float(even[0]), swapped, stands, jumps)
         return Family(self.name, tuple(proposals), gain, 2, even[1:], n_tried=n_still)
@@ -271,12 +276,17 @@ def proposal_of(view, code, parts, gain, n_tried):
     )  # fmt: skip
 
 
-def leave_motion(view, parts):
-    """Whether parts leave some body a motion: of what stands still no law says anything."""
-    levels = np.array(estimate_noise(view.dataset).sigma)
+def leave_motion(dataset, parts, levels):
+    """Whether parts leave some body a motion: of what stands still no law says anything.
+
+    Parameters
+    ----------
+    levels : ndarray, shape (d,), metres
+        Of the noise; nan = an axis along which nothing moves.
+    """
     axes = np.isfinite(levels)
     found = [0.0]
-    for scene in Hypothesis(tuple(parts)).seen(view.dataset).scenes:
+    for scene in Hypothesis(tuple(parts)).seen(dataset).scenes:
         places = scene.positions[:, scene.dynamic][..., axes]
         is_seen = np.isfinite(places)
         low, high = np.where(is_seen, places, np.inf), np.where(is_seen, places, -np.inf)

@@ -55,7 +55,7 @@ class Hands:
         proposals = ()
         if is_told:
             parts, gains = zip(*found, strict=True)
-            if leave_motion(view, parts):
+            if leave_motion(view.dataset, parts, levels):
                 proposals = (proposal_of(view, "untrimmed", parts, sum(gains), n_tried),)
         return Family(self.name, proposals, float(even[0]), 2, even[1:], n_tried=n_tried)
 
