@@ -320,8 +320,16 @@ def _tolerance(found, chains):
 # --- rows -----------------------------------------------------------------------------------------
 
 
-def held_out_rows(found, dataset, scenes, *, deadline=None):
+def held_out_rows(found, dataset, scenes, *, scatter=None, deadline=None):
     """What the errors are made of, scene by scene.
+
+    Parameters
+    ----------
+    found : Fit
+    scatter : tuple of float, metres, optional
+        What `scatter_of` tells of the scenes, or of those that these are copies of.
+    deadline : float, optional
+        Seconds.
 
     Returns
     -------
@@ -343,7 +351,8 @@ def held_out_rows(found, dataset, scenes, *, deadline=None):
         if is_held(found.law):  # these read the law alone, without what holds the bodies
             steps = [np.full_like(step, np.nan) for step in steps]
             accelerations = {k: np.full_like(v, np.nan) for k, v in accelerations.items()}
-        measured, off = _is_measured(dataset, scenes), _far_off(dataset, scenes)
+        measured = _is_measured(dataset, scenes)
+        off = _far_off(scenes, scatter_of(dataset, scenes) if scatter is None else scatter)
         for step, is_off in zip(steps, off, strict=True):
             step[is_off[:-2] | is_off[1:-1] | is_off[2:]] = np.nan
         return [
@@ -359,12 +368,16 @@ def held_out_rows(found, dataset, scenes, *, deadline=None):
         ]
 
 
-def _far_off(dataset, scenes):
+def scatter_of(dataset, scenes):
+    """Noise of each axis that the tracks of some scenes show, metres, whatever their law is."""
+    return estimate_noise(replace(dataset, scenes=tuple(scenes), train=(), test=())).sigma
+
+
+def _far_off(scenes, levels):
     """Rows of bodies that are far off their neighbours, (T, N) per scene: no law foresees them.
 
     They are told by the tracks alone, so that errors of all laws are of the same rows.
     """
-    levels = estimate_noise(replace(dataset, scenes=tuple(scenes), train=(), test=())).sigma
     if is_exact(scenes, levels):
         return [np.zeros(scene.positions.shape[:2], dtype=bool) for scene in scenes]
     kept, _ = without_outliers(scenes, levels)

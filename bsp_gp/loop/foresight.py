@@ -119,9 +119,12 @@ class Foresight:
 
     def _is_much_better(self, done):
         """Whether predictions surely get much better with the cause that a round adopts."""
+        accounts = self._accounts(done, done)
+        if not accounts(0).ratio(0, 1).value < INSTEAD:
+            return False
         if self.refuses(done) or not self.helps(done):
             return False
-        return self._accounts(done, done)(N_COPIES).ratio(0, 1).high < INSTEAD
+        return accounts(N_COPIES).ratio(0, 1).high < INSTEAD
 
     def _of(self, done, last):
         asked = tuple((each.number, each.decision.best.id) for each in (done, last))
@@ -159,7 +162,9 @@ class Foresight:
         is_worse = ratio > WORSE and _is_surely_worse(accounts(N_COPIES))
         if is_worse or _runs_away(plain):
             return True, False
-        return False, not ratio > NO_BETTER or _is_better_in_noise(accounts(N_COPIES))
+        if not NO_BETTER < ratio < 1.0:
+            return False, not ratio > NO_BETTER
+        return False, _is_better_in_noise(accounts(N_COPIES))
 
 
 def _is_pull(row, proposal):
