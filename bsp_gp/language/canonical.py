@@ -5,6 +5,7 @@ evaluated; points at random settle that to as many digits as are compared (Schwa
 """
 
 import hashlib
+from functools import lru_cache
 
 import numpy as np
 
@@ -89,6 +90,7 @@ class _Discs:
         return (gap < other.radius[..., None]).all(axis=-1).astype(float)
 
 
+@lru_cache(maxsize=4096)
 def _value(name, type_, n_dims):
     known = property_of(name)
     key = "_".join(known) if known else name

@@ -17,7 +17,8 @@ from bsp_gp.units import DIMENSIONLESS
 class Formula:
     """Base of the four kinds of node; `type` is the node's `Type`."""
 
-    __slots__ = ("_constants", "_hash", "_inputs", "_key", "is_constant_free", "type")
+    __slots__ = ("_constants", "_hash", "_inputs", "_key", "_told", "is_constant_free", "type")
+    args = ()
 
     def __eq__(self, other):
         return self is other or (
@@ -33,24 +34,34 @@ class Formula:
         self._key = key
         self._hash = hash((type(self).__name__, key))
         self._inputs = self._constants = None
+        self._told = {}
 
     def __repr__(self):
         from bsp_gp.language.render import to_text
 
         return f"<{to_text(self)}>"
 
+    def once(self, tell):
+        """What ``tell(formula)`` tells of this very node, told once.
+
+        Equal nodes may be written otherwise: what is told of one is not told of the other.
+        """
+        if tell not in self._told:
+            self._told[tell] = tell(self)
+        return self._told[tell]
+
     @property
     def inputs(self):
         """Names of all inputs that occur, a frozenset."""
         if self._inputs is None:
-            self._inputs = frozenset(node.name for node in walk(self) if isinstance(node, Input))
+            self._inputs = frozenset().union(*(arg.inputs for arg in self.args))
         return self._inputs
 
     @property
     def constants(self):
         """Names of all free constants that occur, in order of appearance."""
         if self._constants is None:
-            names = [node.name for node in walk(self) if isinstance(node, Constant)]
+            names = (name for arg in self.args for name in arg.constants)
             self._constants = tuple(dict.fromkeys(names))
         return self._constants
 
@@ -63,6 +74,7 @@ class Input(Formula):
     def __init__(self, name, type_):
         self.name = name
         self._settle(type_, (name, type_))
+        self._inputs = frozenset((name,))
 
     def __reduce__(self):
         return (Input, (self.name, self.type))
@@ -76,6 +88,7 @@ class Constant(Formula):
     def __init__(self, name):
         self.name = name
         self._settle(Type("scalar", None), name, is_constant_free=False)
+        self._constants = (name,)
 
     def __reduce__(self):
         return (Constant, (self.name,))
@@ -262,8 +275,8 @@ def summands(formula):
 
 def rename_constants(formula, names):
     """The formula with constants renamed: ``names`` maps old names to new ones."""
+    if all(names.get(name, name) == name for name in formula.constants):
+        return formula
     if isinstance(formula, Constant):
-        return Constant(names.get(formula.name, formula.name))
-    if isinstance(formula, Call):
-        return Call(formula.operator, *(rename_constants(arg, names) for arg in formula.args))
-    return formula
+        return Constant(names[formula.name])
+    return Call(formula.operator, *(rename_constants(arg, names) for arg in formula.args))

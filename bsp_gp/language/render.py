@@ -52,6 +52,15 @@ def to_text(formula, values=None, units=None):
 
 
 def _text(node, values, units):
+    """Text of a node and how strongly it binds; kept where no constant has a value."""
+    return _written(node, values, units) if values else node.once(_plain)
+
+
+def _plain(node):
+    return _written(node, {}, {})
+
+
+def _written(node, values, units):
     node = _as_one_number(node, values)
     if isinstance(node, Number):
         text = node.text

@@ -416,6 +416,10 @@ def split_linear(formula):
     rest : Formula
         The formula without it.
     """
+    return formula.once(_split)
+
+
+def _split(formula):
     above, below = factors(formula)
     free = [k for k, f in enumerate(above) if isinstance(f, Constant)]
     for k in free:
