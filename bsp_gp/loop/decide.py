@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from bsp_gp.loop.criteria import FORESEEING, KICKED, Criteria
 from bsp_gp.loop.slight import MOST_CAUSES
-from bsp_gp.loop.table import SAME_MINIMUM
+from bsp_gp.loop.table import SAME_MINIMUM, part_of
 
 FORCED = 10.0
 """Times the nats of odd noise by which a force must be likelier than a memory of the noise for
@@ -65,7 +65,7 @@ def decide(table, criteria=None):
             told = Decision("the noise is not as assumed", "noise_explains")
             return _unless_swamped(table, told, criteria)
         return Decision("seen, not adopted", "no_candidate_fits")
-    best = candidates[0]
+    best = part_of(candidates[0], candidates, criteria)
     noise = next((row for row in candidates if row.kind == "noise"), None)
     # Of a base that has a memory, more of it is another noise only where that is likelier.
     more = SAME_MINIMUM if math.isinf(table.forced) else criteria.tie_nats

@@ -26,7 +26,7 @@ from bsp_gp.loop.proposal import FAULTS, PATIENT, both_of, continued, without_te
 from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.rivals import Explained
 from bsp_gp.loop.slight import LITTLE, leaves_little, size_left, without_the_slight
-from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain
+from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain, part_of
 from bsp_gp.loop.trace import trace
 from bsp_gp.loop.view import View, selected
 from bsp_gp.physics.force import ForceLaw, Term, kind_of, split_linear
@@ -639,6 +639,19 @@ class _Turn:
             if max(nats for nats, _ in known.values()) > least[source] + FAR_BEHIND
         }  # fmt: skip
         self._tell_near(every, above, highest, off)
+        self._fit_part()
+
+    def _fit_part(self):
+        """Fit what would be taken in the place of the likeliest sum, where it was scored only."""
+        fitted = (row for row in self.rows[1:] if row.is_fit and row.id in self.proposals)
+        best = max(fitted, key=lambda row: row.log_posterior, default=None)
+        if best is None or best.n_terms < 2 or self.note_time("fits"):
+            return
+        part = part_of(best, self.rows[1:], self.run.criteria)
+        if part.status == "scored":
+            proposal = self.proposals[part.id]
+            self.run.says(f"fit of a part: {proposal.text}")
+            self._fitted(part.source, proposal, _fit_of(self._shared, (part.source, proposal)))
 
     def share_noise(self):
         """Tell what leaves less than the likeliest cause under its noise, where it is likelier so.

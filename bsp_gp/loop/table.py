@@ -176,6 +176,19 @@ def _height(row):
     return (row.is_fit, row.log_posterior)
 
 
+def part_of(best, rows, criteria):
+    """A sum of laws, or the least part of it among some rows that is about as likely.
+
+    A term that makes a sum hardly likelier is not worth saying: rounds after it ask for it again.
+    """
+    parts = [
+        row for row in rows
+        if row.code == best.code and 0 < row.n_terms < best.n_terms and set(row.key) < set(best.key)
+        and best.log_posterior - row.log_posterior < criteria.tie_nats
+    ]  # fmt: skip
+    return min(parts, key=lambda row: (row.n_terms, -row.log_posterior), default=best)
+
+
 def held_out_gain(base, other):
     """Predictive log-scores of two fits, scene by scene left out.
 

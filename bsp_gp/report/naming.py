@@ -4,7 +4,7 @@ import math
 import re
 
 from bsp_gp.data.conversion import is_unit
-from bsp_gp.language.formula import Call, Number, factors
+from bsp_gp.language.formula import Call, Constant, Number, factors, quotient
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.outcome import is_open
@@ -33,6 +33,9 @@ def describe(formula, value=None, other="the other body", exponents=()):
     neighbours the data do not exclude are told with their interval in place of the textbook's:
     "drag, speed to the 1.5 (1.2 to 1.8)".
     """
+    plain, words = _without_time(formula)
+    if words:
+        return ", ".join([describe(plain, value, other, exponents), *words])
     direction, conditions, powers = _parts(formula)
     is_along = direction is not None and to_text(direction) == "normalize(v_i)"
     rubs = is_along and set(powers) <= {"m_i"}  # and on nothing else it depends
@@ -58,6 +61,32 @@ def describe(formula, value=None, other="the other body", exponents=()):
     phrase = ", ".join([phrase, *map(_loose, loose)])
     phrase = re.sub(r"\^1(?![\d.])", "", phrase.replace(" * ", " times "))
     return pretty_unit(phrase).replace("the other body", other)
+
+
+_FADING = re.compile(r"^exp\(-.* / \w+\)$")
+"""What is left after a time."""
+
+
+def _without_time(formula):
+    """A term without factors by which its strength changes in time, and words for these."""
+    constant, rest = split_linear(formula)
+    above, below = factors(rest)
+    timed = [f for f in above if f.constants and f.inputs == {"t"} and "cos" not in to_text(f)]
+    plain = [f for f in above if f not in timed]
+    words = {to_text(f): _time_word(to_text(f)) for f in timed}
+    if not plain or None in words.values():
+        return formula, ()
+    if set(words.values()) == {"from an instant on", "up to an instant"}:
+        words = {"": "switched on and off in time"}
+    first = [Constant(constant)] if constant else []
+    return quotient([*first, *plain], below), tuple(dict.fromkeys(words.values()))
+
+
+def _time_word(text):
+    """What a factor does that changes in time; None where that has no name of its own."""
+    if _FADING.search(text):
+        return "fading with time"
+    return next((word for mark, word in _SWITCHED if mark in text), None)
 
 
 FARTHEST = 4.0
@@ -136,9 +165,12 @@ _WHOLE = (
 """Texts of laws with constants inside that have a name of their own."""
 
 BEYOND = "beyond a threshold"
-_INNER = (
+_SWITCHED = (
     ("1 + sign(t", "from an instant on"), ("1 - sign(t", "up to an instant"),
-    ("sign(t", "switched in time"), ("sign(", BEYOND),
+    ("sign(t", "switched in time"),
+)  # fmt: skip
+_INNER = (
+    ("sign(", BEYOND),
     ("bessel_k1(", "screened in two dimensions (K1 of distance over a length)"),
     ("cos(", "alternating with a period"),
     ("exp(", "fading with a length"), ("^-1.5", "softened within a length"),
@@ -168,8 +200,6 @@ def _inner_phrase(direction, formula, powers, value=None, is_loose=False):
     if words.count(BEYOND) == 2:
         words[words.index(BEYOND)] = "between two places"
         words.remove(BEYOND)
-    if {"from an instant on", "up to an instant"} <= set(words):
-        words = ["switched on and off in time", *(w for w in words if "an instant" not in w)]
     bare = text.removeprefix("normalize(").removesuffix(")")
     if is_place and not powers and not inner:
         return "spring to a rest point"

@@ -53,6 +53,15 @@ def test_nothing_is_missing_where_chance_shows_as_much():
     assert decided(row(1), p=0.02, criteria=Criteria(alpha=0.05)).is_adopted
 
 
+def test_of_a_sum_a_part_is_taken_that_is_about_as_likely():
+    both = row(1, key=("law", "a", "b"), n_terms=2)
+    part = row(2, gain=100.0 - 2 * 1.9, key=("law", "b"), n_terms=1)
+    other = row(3, gain=100.0 - 2 * 1.9, key=("law", "c"), n_terms=1)
+    assert decided(both, part).best.id == 2
+    assert decided(both, other).best.id == 1
+    assert decided(both, replace(part, log_evidence=part.log_evidence - 0.2)).best.id == 1
+
+
 def test_a_hand_alone_is_told_only_where_no_force_does_nearly_as_well():
     hand = row(1, "untrimmed", "measurement", gain=105.0)
     assert decided(hand, row(2, gain=100.0)).reason == "kinds_tie"

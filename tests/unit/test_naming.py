@@ -219,7 +219,10 @@ def test_a_power_that_a_law_lacks_is_said_where_zero_is_far(low, high, is_said):
         ("c * (1 + sign(x_i - a)) * v_i", "drag, linear in speed, beyond a threshold"),
         ("c * (1 + sign(t - a)) * (1 - sign(t - b)) * v_i",
          "drag, linear in speed, switched on and off in time"),
-        ("c1 * (m_i * 0.5 * (1 - sign(t - t1)) * e_x)", "force along x, up to an instant"),
+        ("c1 * (m_i * 0.5 * (1 - sign(t - t1)) * e_x)", "uniform push along x, up to an instant"),
+        ("c * exp(-t / T) * perp(v_i)",
+         "force across the velocity, linear in speed (magnetic, Magnus or Coriolis), fading with "
+         "time"),
         ("c * exp(-((x_i - h) / D)^2) * (x_i - h) * e_x",
          "force along x about a place, gone a length away (a dip or a bump)"),
         ("c * ((y_i - h)^2 + D^2)^-1.5 * (y_i - h) * e_y",

@@ -175,3 +175,27 @@ def test_what_drives_an_angle_is_expanded_in_waves_of_a_turn():
     for true in (-32.7, 30.0, -0.2):
         assert any(value == pytest.approx(true, rel=0.02) for value in told)
     assert "sin(2 * theta_i)" in bsp_gp.summary_text(report)
+
+
+def flight(across, seed=0):
+    """What is turned aside in flight at a rate ``across(t, x)``, 1/s, and falls."""
+
+    def rate(t, s):
+        turn = across(t, s[0])
+        return [s[2], s[3], -turn * s[3], turn * s[2] - 9.81]
+
+    return driven(rate, [0.0, 0.0, 6.0, 8.0], 1.6, 160, "xy", 2e-3, seed)
+
+
+@pytest.mark.parametrize(
+    ("across", "law"),
+    [
+        (lambda t, x: 0.8 * np.exp(-t / 0.5), "c1 * (exp(-t / T1) * perp(v_i))"),
+        (lambda t, x: 0.12 * x, "c1 * (x_i * perp(v_i))"),
+    ],
+)
+def test_what_turns_a_body_aside_may_fade_or_differ_from_place_to_place(across, law):
+    weight = "9.81 [m/s^2] * m_i * -e_y"
+    report = bsp_gp.close_loop(flight(across), [weight], rng=np.random.default_rng(1))
+    assert report.rounds[0].effect.law == law
+    assert report.verdict == "effect adopted"

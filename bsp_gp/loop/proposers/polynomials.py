@@ -194,7 +194,7 @@ def _towards(view, axes):
 
 
 def _rows(view, coordinates, highest, is_odd=False):
-    """Powers of coordinates along every axis, and drags that change with them."""
+    """Powers of coordinates along every axis, and what brakes or turns aside by place."""
     powers = range(highest + 1)
     degrees = [(a, b) for a in powers for b in powers if a + b <= highest]
     degrees = degrees if len(coordinates) > 1 else [(a,) for a in powers]
@@ -209,6 +209,9 @@ def _rows(view, coordinates, highest, is_odd=False):
         if 0 < sum(each) <= HIGHEST_OF_DRAG and is_even:
             drag = product([*_factors(coordinates, each), velocity])
             rows.append((drag, _news(max(each), (2,))))
+            if len(coordinates) == view.dataset.n_dims == 2:  # a field that is not even
+                across = product([*_factors(coordinates, each), Call("perp", velocity)])
+                rows.append((across, _news(sum(each), (1,))))
     return rows + drags(view, coordinates)
 
 

@@ -42,15 +42,14 @@ class Regimes:
         """The family of the likeliest sums, where laws that are the same everywhere leave much."""
         if view.is_sky or not asks_series(view):
             return Family(self.name)
-        axes, scenes = moving_axes(view), view.dataset.scenes
+        axes = moving_axes(view)
         types = dataset_types(view.dataset)
         rows = [(coordinate_of(types, axis)[1], 0) for axis in axes] + drags(view, axes)
         plain = Rows(view, rows).library()
         bar = LESS * (left_by(view, plain.columns) if plain else float(view.left @ view.left))
         edges = [(*coordinate_of(types, a), f"h_{'xyz'[a]}", extent_of(view, a)) for a in axes]
-        span = None  # of several recordings each has a clock
-        if len({scene.part_of or scene.name for scene in scenes}) == 1:
-            span = min(s.times[0] for s in scenes), max(s.times[-1] for s in scenes)
+        span = _span_of_clock(view)
+        if span is not None:
             edges.append((Input("t", types["t"]), None, "t", span))
         libraries = []
         for quantity, direction, stem, extent in edges:
@@ -72,6 +71,19 @@ class Regimes:
         return replace(family, proposals=tuple(
             replace(p, patience=PATIENT) if names <= set(p.starts) else p for p in family.proposals
         ))  # fmt: skip
+
+
+def _span_of_clock(view):
+    """First and last instant of a clock that all recordings share; None where each has its own.
+
+    Those that begin at the same reading are taken to be counted from the same event.
+    """
+    scenes = view.dataset.scenes
+    begun = [float(scene.times[0]) for scene in scenes]
+    is_one = len({scene.part_of or scene.name for scene in scenes}) == 1
+    if not is_one and max(begun) - min(begun) > view.step:
+        return None
+    return min(begun), max(float(scene.times[-1]) for scene in scenes)
 
 
 def _stages(view, axes, span):
