@@ -3,16 +3,14 @@
 With inertia ``v' = -g v - w (x - c) + a + sqrt(q) xi``; where none is seen ``x' = -r (x - c) + u +
 sqrt(2 D) xi``. There a camera may show the mean place over its exposure, which makes steps that
 follow each other alike, as inertia does (Berglund 2010, Phys. Rev. E 82, 011917). Transitions
-between rows are exact (Van Loan 1978). The states of all rows are eliminated from their joint
-density with the rows, whose precision is a band, in O(rows): the likelihood that a Kalman filter
-gives.
+between rows are exact (Van Loan 1978), and a Kalman filter gives the likelihood in O(rows).
 """
 
 from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, expm
+from scipy.linalg import LinAlgError, expm
 from scipy.optimize import minimize
 from scipy.stats import chi2, kurtosis, kurtosistest
 
@@ -280,15 +278,16 @@ class _Problem:
         has_offset = bool({"trap", "push"} & terms)
         total, rows = 0.0, []
         far = FARTHEST * self.guess["extent"]
-        moves = _Moves.over(model, self.kinds)
-        if moves is None:
+        try:
+            moves = model.transitions(self.kinds)
+        except (LinAlgError, ValueError):  # numbers do not carry them
             return -1e30, []
         for part in self.parts:
             if model.kicks:
-                found = part.density(model, moves, speed, far, has_offset)
+                found = part.density(model, moves, speed, far)
             else:
                 found = part.drawn(model, moves, speed, far)
-            if found is None or not np.isfinite(found[0]):
+            if not np.isfinite(found[0]):
                 return -1e30, []
             total += found[0]
             rows.append(found[1:])
@@ -477,49 +476,14 @@ def _spread_of(first):
 def _over(drift, noise, push, steps):
     """Transitions of a linear motion over time steps, see `_Model.transitions`."""
     n = len(drift)
-    alone, white = np.zeros((2, n + 1, n + 1))
-    alone[:n, :n], alone[:n, n], white[:n, :n] = drift, push, noise
-    block = np.block([[-alone, white], [np.zeros_like(white), alone.T]])
+    block = np.zeros((2 * n + 2, 2 * n + 2))
+    alone = block[n + 1 :, n + 1 :].T
+    alone[:n, :n], alone[:n, n], block[:n, n + 1 : -1] = drift, push, noise
+    block[: n + 1, : n + 1] = -alone
     both = expm(block * steps[:, None, None])
     moved = np.swapaxes(both[:, n + 1 :, n + 1 :], 1, 2)
     f, q = moved[:, :n, :n], (moved @ both[:, : n + 1, n + 1 :])[:, :n, :n]
     return f, (q + np.swapaxes(q, 1, 2)) / 2, moved[:, :n, n]
-
-
-@dataclass(frozen=True, eq=False)
-class _Moves:
-    """Motions of a model over K kinds of steps; what kicks add is None where there are none.
-
-    Attributes
-    ----------
-    f : ndarray, shape (K, n, n)
-    push : ndarray, shape (K, n)
-    inverse, half : ndarray, shape (K, n, n)
-        Of the covariance of what kicks add, and its lower factor.
-    log_q : ndarray, shape (K,)
-        The logarithm of its determinant.
-    """
-
-    f: np.ndarray
-    push: np.ndarray
-    inverse: np.ndarray | None = None
-    half: np.ndarray | None = None
-    log_q: np.ndarray | None = None
-
-    @classmethod
-    def over(cls, model, steps):
-        """Motions over time steps; None where numbers do not carry them."""
-        try:
-            f, q, push = model.transitions(steps)
-            if not model.kicks:
-                return cls(f, push)
-            inverse = np.linalg.inv(q)
-            sign, log_q = np.linalg.slogdet(q)
-            if not (np.isfinite(inverse).all() and (sign > 0).all()):
-                return None
-            return cls(f, push, inverse, np.linalg.cholesky(inverse), log_q)
-        except (LinAlgError, ValueError):
-            return None
 
 
 class _Part:
@@ -535,56 +499,36 @@ class _Part:
         self.times, self.origin, self.number = times, places[0], number
         self.places = places - places[0]
 
-    def density(self, model, moves, speed, far, has_offset):
-        """Log-density of the rows, how it depends on a push; None where numbers do not carry it.
+    def density(self, model, moves, speed, far):
+        """Log-density of the rows, how it depends on a push; nan where numbers do not carry it.
 
         The density without a push; with one of size a the exponent gains ``a right - a^2 square /
         2`` on each axis.
         """
-        f, push, inverse = moves.f, moves.push, moves.inverse
-        n, n_rows, n_dims = f.shape[1], len(self.times), self.places.shape[1]
-        first = model.first(speed, far)
-        blocks = np.zeros((n_rows, n, n))
-        back = np.swapaxes(f, 1, 2) @ inverse
-        blocks[:-1] += (back @ f)[self.number]
-        blocks[1:] += inverse[self.number]
-        blocks[0] += first.T @ first
-        blocks[:, 0, 0] += model.noise**-2.0
-        band = self._band(blocks, -(inverse @ f)[self.number])
-        right = np.zeros((n_rows, n, n_dims + 1))
-        right[:, 0, :n_dims] = self.places / model.noise**2
-        if has_offset:
-            right[:-1, :, -1] -= np.einsum("kij,kj->ki", back, push)[self.number]
-            right[1:, :, -1] += np.einsum("kij,kj->ki", inverse, push)[self.number]
-        flat = right.reshape(n_rows * n, -1)
-        try:
-            factor = cholesky_banded(band, lower=True, check_finite=False)
-        except LinAlgError:
-            return None
-        solved = cho_solve_banded((factor, True), flat, check_finite=False)
-        states = solved.reshape(n_rows, n, -1)
-        # Sums of squares from what is left, which rounding leaves alone.
-        shown = -states[:, 0] / model.noise
-        shown[:, :n_dims] += self.places / model.noise
-        driven = states[1:] - f[self.number] @ states[:-1]
-        if has_offset:
-            driven[:, :, -1] -= push[self.number]
-        driven = np.swapaxes(moves.half, 1, 2)[self.number] @ driven
-        begun = first @ states[0]
-        rows = np.concatenate([shown, driven.reshape(-1, n_dims + 1), begun])
-        gram = rows.T @ rows
-        log_det = 2 * np.log(factor[0]).sum() - 2 * np.log(np.diagonal(first)).sum()
-        log_det += moves.log_q[self.number].sum() + 2 * n_rows * np.log(model.noise)
+        errors, log_det = self._filtered(model, moves, speed, far)
+        gram = errors.T @ errors
+        n_rows, n_dims = self.places.shape
         height = -0.5 * np.trace(gram[:n_dims, :n_dims]) - 0.5 * n_dims * float(
             log_det + n_rows * LOG_TURN
         )
         return float(height), -gram[:n_dims, -1], float(gram[-1, -1])
 
+    def forecast(self, model, moves, push, speed, far):
+        """Errors of one-step forecasts under a push (d,), of unit size, (T, d)."""
+        errors, _ = self._filtered(model, moves, speed, far)
+        return errors[:, :-1] + errors[:, -1:] * push
+
+    def _filtered(self, model, moves, speed, far):
+        first = _spread_of(model.first(speed, far))
+        seen = np.concatenate([self.places, np.zeros((len(self.places), 1))], axis=1)
+        return _forecasts(*moves, self.number, seen, first, float(model.noise) ** 2)
+
     def drawn(self, model, moves, speed, far):
         """The same of a motion without kicks."""
         n_rows, n_dims = self.places.shape
-        n = moves.f.shape[1]
-        columns = _carried(moves.f, moves.push, self.number) / model.noise
+        f, _, push = moves
+        n = f.shape[1]
+        columns = _carried(f, push, self.number) / model.noise
         rows = self.places / model.noise
         first = 1 / np.diagonal(model.first(speed, far))
         own = columns[:, :n] * first
@@ -599,35 +543,66 @@ class _Part:
         )
         return float(height), gram[:n_dims, -1], float(gram[-1, -1])
 
-    def forecast(self, model, moves, push, speed, far):
-        """Errors of one-step forecasts, of unit size, (T, d): a Kalman filter from such states."""
-        f, q, by_push = moves
-        n, n_dims = f.shape[1], self.places.shape[1]
-        state, spread = np.zeros((n, n_dims)), _spread_of(model.first(speed, far))
-        out = np.empty_like(self.places)
-        for row, place in enumerate(self.places):
-            if row:
-                k = self.number[row - 1]
-                state = f[k] @ state + by_push[k][:, None] * push
-                spread = f[k] @ spread @ f[k].T + q[k]
-            size = spread[0, 0] + model.noise**2
-            out[row] = (place - state[0]) / np.sqrt(size)
-            gain = spread[:, 0] / size
-            state = state + gain[:, None] * (place - state[0])
-            spread = spread - np.outer(gain, spread[0])
-        return out
 
-    @staticmethod
-    def _band(blocks, below):
-        """Lower band of a symmetric block tridiagonal matrix."""
-        n_rows, n, _ = blocks.shape
-        band = np.zeros((2 * n, n_rows * n))
+@compiled
+def _forecasts(f, q, push, number, seen, first, noise):
+    """A Kalman filter over steps of such kinds.
+
+    Parameters
+    ----------
+    seen : ndarray, shape (T, d + 1)
+        Places, and zeros.
+    first : ndarray, shape (n, n)
+        Covariance of the first state, about zero.
+    noise : float
+        Variance of a place.
+
+    Returns
+    -------
+    errors : ndarray, shape (T, d + 1)
+        Of forecasts of the next row, of unit size; in the last column what a push of one adds.
+    log_det : float
+        Of the covariance of the places along one axis.
+    """
+    n, n_columns = f.shape[1], seen.shape[1]
+    state, before = np.zeros((n, n_columns)), np.zeros((n, n_columns))
+    spread, half, gain = first.copy(), np.zeros((n, n)), np.zeros(n)
+    errors, log_det = np.empty_like(seen), 0.0
+    for row in range(len(seen)):
+        if row:
+            k = number[row - 1]
+            before[:] = state
+            for i in range(n):
+                for c in range(n_columns):
+                    value = push[k, i] if c == n_columns - 1 else 0.0
+                    for m in range(n):
+                        value += f[k, i, m] * before[m, c]
+                    state[i, c] = value
+                for j in range(n):
+                    half[i, j] = 0.0
+                    for m in range(n):
+                        half[i, j] += f[k, i, m] * spread[m, j]
+            for i in range(n):
+                for j in range(i + 1):
+                    value = q[k, i, j]
+                    for m in range(n):
+                        value += half[i, m] * f[k, j, m]
+                    spread[i, j] = spread[j, i] = value
+        size = spread[0, 0] + noise
+        log_det += np.log(size)
         for i in range(n):
-            for j in range(i + 1):
-                band[i - j, j::n] = blocks[:, i, j]
-            for j in range(n):
-                band[n + i - j, j : (n_rows - 1) * n : n] = below[:, i, j]
-        return band
+            gain[i] = spread[i, 0]
+        for c in range(n_columns):
+            error = seen[row, c] - state[0, c]
+            errors[row, c] = error / np.sqrt(size)
+            for i in range(n):
+                state[i, c] += gain[i] / size * error
+        for i in range(1, n):
+            for j in range(1, n):
+                spread[i, j] -= gain[i] * gain[j] / size
+        for i in range(n):  # as a product: a difference would be rounding where little is noise
+            spread[i, 0] = spread[0, i] = gain[i] * noise / size
+    return errors, log_det
 
 
 @compiled

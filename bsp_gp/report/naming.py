@@ -527,6 +527,8 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         size = "" if is_loose else f", {_in_speed(total)}"
         kinds = "magnetic, Magnus or Coriolis" if is_loose or total == 1 else "magnetic or Magnus"
         return f"{across}{size}{_scaling(rest)} ({kinds}){where}"
+    if text in ("up", "down"):
+        return f"uniform push along the vertical{_scaling(powers)}{where}"
     if text in ("e_x", "e_y", "e_z"):
         own, size = f"v{text[-1]}_i", f"abs(v{text[-1]}_i)"
         if powers.get(own, 0) % 2 == 1:  # of the sign of the velocity

@@ -151,7 +151,7 @@ def verdict_parts(report):
     adopted = [r for r in adopted if r.verdict == "cannot tell"]
     if report.verdict == "cannot tell" and adopted:
         text = "Something is missing from the declared model, but these data cannot tell whether "
-        detail = "The law was taken up for predictions."
+        detail = "The first of these stands in the law below, for predictions; it is no finding."
         return f"{text}it is {_joined(_either(r) for r in adopted)}.", detail
     if report.verdict == "cannot tell" and last is not None and last.undecided:
         return f"These data cannot tell whether it is {_either(last)}.", ""
@@ -182,8 +182,11 @@ def hidden_sentence(beside):
     """How much may still be hidden beside the final law, or the model that entered a round."""
     bound, parts = beside.bound, []
     if bound is not None and is_number(bound.force):
-        share = f" ({format_number(bound.percent, 2)} % of the declared force)"
-        share = share if is_number(bound.percent) else ""
+        share = ""
+        if is_number(bound.percent) and bound.percent > 100:
+            share = f" ({format_number(bound.percent / 100, 2)} times the declared force)"
+        elif is_number(bound.percent):
+            share = f" ({format_number(bound.percent, 2)} % of the declared force)"
         parts.append(
             f"A constant force of up to {force_text(bound)}{share} is not excluded (95 %)."
         )
@@ -215,7 +218,8 @@ def powers_sentence(round_):
             text = f"a further {text}, which the law has not"
         elif is_number(e["stated"]):
             text += f", written as {e['stated']:g}".replace("-", "−")
-        told.setdefault(e["term"].split(" * ")[0], []).append(text)
+        first = re.search(r"[A-Za-z]\w*", e["term"])  # its strength, or what stands first in that
+        told.setdefault(first[0] if first else e["term"], []).append(text)
     several = len(told) > 1  # then whose it is: "distance" alone would be any force's
     told = [f"in {c}, {t}" if several else t for c, texts in told.items() for t in texts]
     varies = [VARIABLES.get(v["variable"], _SIZES.get(v["variable"], v["variable"]))
@@ -395,7 +399,7 @@ def ratio_caution(report):
     if is_number(ratio.high) and ratio.high >= 1:
         return "The 90 % interval of the ratio includes 1: the gain is not certain."
     if not (is_number(ratio.low) and is_number(ratio.high)):
-        return "The ratio has no interval: how certain the gain is was not found out."
+        return "The ratio has no interval: none was asked for, or it could not be worked out."
     return ""
 
 

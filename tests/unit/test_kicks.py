@@ -9,7 +9,7 @@ from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.kinks import kinks
-from bsp_gp.fitting.langevin import Track, _Model, _Moves, _Part, models_of
+from bsp_gp.fitting.langevin import Track, _Model, _Part, models_of
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.proposers.kicks import is_kicked
@@ -51,7 +51,7 @@ def test_the_density_is_that_of_the_joint_normal(is_overdamped):
             crossed = f[part.number[b - 1]] @ crossed
             covariance[a, b] = covariance[b, a] = crossed[0, 0]
     covariance += 0.16 * np.eye(5)
-    height, right, square = part.density(model, _Moves.over(model, kinds), 2.0, 3.0, True)
+    height, right, square = part.density(model, model.transitions(kinds), 2.0, 3.0)
     rows = part.places[:, 0]
     assert height == pytest.approx(multivariate_normal(np.zeros(5), covariance).logpdf(rows))
     pushed = multivariate_normal([m[0] for m in means], covariance).logpdf(rows)
@@ -151,8 +151,8 @@ def test_the_density_of_blurred_places_is_that_of_the_joint_normal():
     covariance = weights @ walk @ weights.T
     far = 300.0  # so that where the walk begins is of no matter
     joint = covariance - covariance[0, 0] + far**2 + 0.16 * np.eye(3)
-    moves = _Moves.over(model, np.array([1.0, 1.5]))
-    height = part.density(model, moves, 2.0, far, False)[0]
+    moves = model.transitions(np.array([1.0, 1.5]))
+    height = part.density(model, moves, 2.0, far)[0]
     expected = multivariate_normal(np.zeros(3), joint).logpdf(part.places[:, 0])
     assert height == pytest.approx(expected, abs=0.02)
 
