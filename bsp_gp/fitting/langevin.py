@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 from scipy.linalg import LinAlgError, expm
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 from scipy.stats import chi2, kurtosis, kurtosistest
 
 from bsp_gp.compiling import compiled
@@ -35,6 +35,8 @@ FARTHEST = 10.0
 """Extents within which the centre of a trap and the first place of a track lie."""
 MILD = 1.0
 """Excess kurtosis of errors of forecasts that real kicks may have."""
+UNSEEN = 20.0
+"""Times a noise that its interval may reach, or the noise is next to none and has a limit alone."""
 Z_90 = 1.6448536269514722
 LOG_TURN = float(np.log(2 * np.pi))
 
@@ -218,7 +220,29 @@ class _Problem:
         at = dict(zip(names, best[0], strict=True))
         _, offsets = self.height(at, terms, is_overdamped)
         told = self._told(terms, is_overdamped, names, best[0], bounds, offsets, -best[1])
+        value, low, high = told.values.get("noise", (0.0, 0.0, 0.0))
+        if "kicks" in terms and high > UNSEEN * value:
+            most = self._most_noise(names, best[0], bounds, terms, is_overdamped, -best[1])
+            told.values["noise"] = value, low, most * self.size
         return replace(told, is_blurred=is_blurred)
+
+    def _most_noise(self, names, x, bounds, terms, is_overdamped, top):
+        """The greatest noise that is not excluded, where the best is next to none (profile)."""
+        at = names.index("noise")
+        others = [k for k in range(len(names)) if k != at]
+        start, beside = np.array(x, dtype=float), [bounds[k] for k in others]
+
+        def below(level):
+            def height(rest):
+                start[others], start[at] = rest, level
+                return -self.height(dict(zip(names, start, strict=True)), terms, is_overdamped)[0]
+
+            done = minimize(height, x[others], method="L-BFGS-B", bounds=beside,
+                            options={"maxiter": 20, "eps": 1e-5})  # fmt: skip
+            return top + done.fun - Z_90**2 / 2
+
+        low, high = float(x[at]), float(bounds[at][1])
+        return float(np.exp(brentq(below, low, high, xtol=0.05))) if below(high) > 0 else np.inf
 
     def _bounds(self, name):
         """Of the logarithm of a parameter."""

@@ -973,7 +973,12 @@ class _Turn:
         return self.near, run.dataset, run.criteria, run.bounds, run.clock
 
     def _is_most(self, row):
-        """Whether a fit takes off most of what was unexplained, and is likelier for it."""
+        """Whether a fit takes off most of what was unexplained, and is likelier for it.
+
+        Where the law as it is could not be fitted that is all of it.
+        """
+        if self.base.is_failed:
+            return self._left(self.fits[row.id]) < EXPLAINED
         left = self._left(self.fits[row.id]) / self._left(self.fits[0])
         return left < MOST_LEFT and row.log_posterior > self.rows[0].log_posterior
 

@@ -172,6 +172,7 @@ _SWITCHED = (
 _INNER = (
     ("sign(", BEYOND),
     ("bessel_k1(", "screened in two dimensions (K1 of distance over a length)"),
+    ("exp(-norm(p_i - origin", "fading with the distance to the origin"),
     ("cos(", "alternating with a period"),
     ("exp(", "fading with a length"), ("^-1.5", "softened within a length"),
     ("inverse(1 +", "levelling off"), ("^n", "to a fitted power of {}"), ("", "less a length"),

@@ -12,7 +12,7 @@ from bsp_gp.fitting.kinks import kinks
 from bsp_gp.fitting.langevin import Track, _Model, _Part, models_of
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import Criteria
-from bsp_gp.loop.proposers.kicks import is_kicked
+from bsp_gp.loop.proposers.kicks import is_kicked, leaps
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import verdict_sentence
 from bsp_gp.units import UnitSystem
@@ -276,3 +276,20 @@ def test_who_is_kicked_in_a_trap_may_be_noise_with_a_memory():
     assert report.verdict == "cannot tell"
     told = verdict_sentence(page_of(report))
     assert "random kicks with a trap" in told and "noise with a memory" in told
+
+
+def test_a_track_that_leaps_to_another_bead_is_cut_there():
+    rng = np.random.default_rng(3)
+    steps = rng.normal(0.0, 0.1, (400, 2))
+    steps[250] = 3.0, -2.0
+    places = np.cumsum(steps, axis=0)
+    assert leaps(np.arange(400.0), places).tolist() == [250]
+    fast = np.cumsum(steps + 2.0 * np.exp(-np.arange(400)[:, None] / 5.0), axis=0)
+    assert 1 not in leaps(np.arange(400.0), fast)  # what is fast at first is no leap
+
+
+def test_noise_that_is_not_seen_has_a_limit():
+    rng = np.random.default_rng(4)
+    walk = Track(np.arange(400.0), np.cumsum(rng.standard_normal((400, 2)), axis=0))
+    best = next(m for m in models_of([walk]) if m.terms == {"kicks", "drag"} and m.is_overdamped)
+    assert best.values["noise"][2] < 1.0

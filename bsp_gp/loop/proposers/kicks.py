@@ -21,9 +21,14 @@ LEAST_ROWS = 100
 FIRST_TRACKS, FIRST_ROWS, SURELY_ODD = 4, 800, 1e-6
 """Tracks and their rows, together, on which kicks are asked first where there are many, and the
 chance of forecasts as odd, below which the others are not asked."""
+MOST_ALONE = 2
+"""Rows of a piece of a track that tell nothing of kicks."""
 SMOOTH = 4.0
 """Rows until kicks show above the noise, beyond which they may be a force of any other form: beads
 take one or two, and what nobody lists and pushes a body smoothly eight or more."""
+LEAP, LONELY = 7.0, 3.0
+"""Standard deviations of other steps, and times the two steps before and after it, from which a
+step is a leap: of the tracker to another bead, or of the slide. No kick of many is so alone."""
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 UNITS = {
     "drag_rate": DIMENSIONLESS / TIME, "trap_rate": DIMENSIONLESS / TIME**2,
@@ -84,8 +89,9 @@ class Kicks:
             return replace(known, proposals=(_slowed(view, best, gain),))
         if not _are_told(best, view.criteria):
             return known
+        text = _text(best, _n_leaps(view.dataset, tracks))
         proposal = Kicked(
-            "kicks", _text(best), view.hypothesis, -view.criteria.cause_nats, gain,
+            "kicks", text, view.hypothesis, -view.criteria.cause_nats, gain,
             len(best.values), kind="kicks", is_last=True,
             log_evidence=best.score - _wider(tracks), constants=_constants(best, view.dataset),
             is_smooth=best.settling > SMOOTH,
@@ -110,9 +116,11 @@ def _asked(dataset, fit):
     """
     if fit.law.terms or fit.law.frame or is_of_the_sky(dataset):
         return []
-    tracks = _tracks(dataset, np.flatnonzero(np.isfinite(fit.noise.levels)))
-    is_long = tracks and min(len(t.times) for t in tracks) >= LEAST_ROWS
-    return tracks if is_long else []
+    rows = [np.isfinite(s.positions[:, k]).all(axis=1).sum()
+            for s in dataset.scenes for k in s.dynamic]  # fmt: skip
+    if min(rows, default=0) < LEAST_ROWS:
+        return []
+    return _tracks(dataset, np.flatnonzero(np.isfinite(fit.noise.levels)))
 
 
 def _likeliest(tracks, fit, criteria, tick=None):
@@ -129,8 +137,11 @@ def _likeliest(tracks, fit, criteria, tick=None):
         if "kicks" in models[0].terms and all(m.oddity < SURELY_ODD for m in near):
             return models[0], models
     models = models_of(tracks, noise, criteria.class_nats, tick)
-    near = (m for m in models if models[0].score - m.score <= criteria.class_nats)
-    return next((m for m in near if m.oddity >= criteria.alpha), models[0]), models
+    near = [m for m in models if models[0].score - m.score <= criteria.class_nats]
+    able = [m for m in near if m.oddity >= criteria.alpha]
+    # Of models that are about as likely the one that says least.
+    alike = [m for m in able if able[0].score - m.score < criteria.tie_nats]
+    return min(alike, key=lambda m: len(m.terms), default=models[0]), models
 
 
 def _are_told(model, criteria):
@@ -182,15 +193,31 @@ def _of_mass(model, dataset):
 
 
 def _tracks(dataset, axes):
-    """Every body of every scene that forces move."""
+    """Every body of every scene that forces move, up to each leap and from there on."""
     out = []
     for scene in dataset.scenes:
         for k in scene.dynamic:
             places = scene.positions[:, k][:, axes]
             seen = np.isfinite(places).all(axis=1)
-            if seen.sum() > 2:
-                out.append(Track(scene.times[seen], places[seen]))
+            times, places = scene.times[seen], places[seen]
+            at = leaps(times, places)
+            pieces = zip(np.split(times, at), np.split(places, at), strict=True)
+            out += [Track(*piece) for piece in pieces if len(piece[0]) > MOST_ALONE]
     return out
+
+
+def leaps(times, places):
+    """First rows after each leap of a track (T, d), ndarray of int."""
+    if len(times) < LEAST_ROWS:
+        return np.zeros(0, dtype=int)
+    steps = np.diff(places, axis=0) / np.sqrt(np.diff(times))[:, None]
+    scale = np.median(np.abs(steps), axis=0) / 0.6745
+    if not scale.all():
+        return np.zeros(0, dtype=int)
+    size = np.linalg.norm(steps / scale, axis=1)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(size, 2), 5)
+    beside = np.delete(around, 2, axis=1).max(axis=1)
+    return np.flatnonzero((size > LEAP) & (size > LONELY * beside)) + 1
 
 
 def _wider(tracks):
@@ -206,10 +233,16 @@ def _wider(tracks):
     return total
 
 
-def _text(model):
+def _n_leaps(dataset, tracks):
+    """Leaps at which tracks were cut."""
+    return len(tracks) - sum(len(scene.dynamic) for scene in dataset.scenes)
+
+
+def _text(model, n_leaps=0):
     """What acts, in words."""
     forces = [word for name, word in (("drag", "drag"), ("trap", "a trap"), ("push", "a push"))
               if name in model.terms and not (name == "drag" and model.is_overdamped)]  # fmt: skip
     text = "random kicks" + (f" with {' and '.join(forces)}" if forces else "")
     text += ", shown as means over an exposure" if model.is_blurred else ""
+    text += f", beside {n_leaps} leap{'s' * (n_leaps > 1)} of the track" if n_leaps > 0 else ""
     return text + (" (no inertia is seen)" if model.is_overdamped else "")
