@@ -319,7 +319,10 @@ def _step_of_large(tracks, step, *, by_digits=True):
     """
     values, best = np.abs(np.concatenate([np.empty(0), *(x for _, x in tracks)])), 0.0
     for part in _LARGE if len(values) else ():
-        pieces = _of_size(tracks, np.quantile(values, part))
+        least = np.quantile(values, part)
+        if not grid_step([(t[0:0], x[np.abs(x) >= least]) for t, x in tracks]):
+            continue  # as of nearly all that is not rounded: stretches need not be cut out
+        pieces = _of_size(tracks, least)
         own = grid_step(pieces)
         digits = math.log10(own / step) if own and step else 1.0
         is_coarser = own > 0 and digits > 0.5

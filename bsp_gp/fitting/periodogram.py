@@ -20,6 +20,8 @@ FEWEST_TURNS = 1.5
 FADING = (0.0, 3.0, 6.0, 12.0)
 """Times the longest track in decay times of a swing, first none; and SEEN decay times show it."""
 SEEN = 3.0
+MOST_TRACKS = 100
+"""Coordinates of bodies that tell whether all of them swing."""
 MOST_ROWS, WITHIN = 8_000, 0.01
 """Of a track in which a swing is sought, and the part of its variance that may lie within means."""
 EVEN, MOST_EMPTY = 0.05, 8
@@ -129,6 +131,7 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
         kept = [k for k in kept if found.channels.body_names[found.channels.body[k]] == body]
     if (foreseen and found.is_failed) or not kept:
         return 0.0
+    kept = kept[:: -(-len(kept) // MOST_TRACKS)]
     lesser = {k: _lesser(times[seen[k], k], tracks[seen[k], k]) for k in kept}
     span = float(max(np.ptp(t) for t, _ in lesser.values()))
     step = float(np.median(np.concatenate([np.diff(t) for t, _ in lesser.values()])))

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from bsp_gp.data.extent import is_astronomical, is_of_the_sky
+from bsp_gp.data.noise import estimate_noise
 from bsp_gp.errors import EvaluationError
 from bsp_gp.fitting.bent import steadied
 from bsp_gp.fitting.fit import fit
@@ -288,6 +289,11 @@ class View:
         if self.free_gain > self.criteria.noise_nats:
             found = [f for f in found if f.code in ("tails", "grid")]
         return least_chance(found)
+
+    @cached_property
+    def scatter(self):
+        """Noise of each axis that tracks show whatever their law is, m; nan where nothing moves."""
+        return np.array(estimate_noise(self.dataset).sigma)
 
     @cached_property
     def tangent(self):

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.data.noise import estimate_noise
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted
@@ -91,9 +90,8 @@ class Defects:
             ]
         kinds = [kind for kind in kinds if kind[1]]
         if any(code in WITHOUT_ENDS for code, *_ in kinds):
-            levels = np.array(estimate_noise(view.dataset).sigma)
             kinds = [kind for kind in kinds if kind[0] not in WITHOUT_ENDS
-                     or leave_motion(view.dataset, kind[1], levels)]  # fmt: skip
+                     or leave_motion(view.dataset, kind[1], view.scatter)]  # fmt: skip
         proposals = [proposal_of(view, *kind) for kind in kinds]
         proposals.sort(key=lambda p: -p.promise)
         gain = max(float(even[0]), swapped, stands, jumps)
@@ -346,10 +344,9 @@ def _untrimmed(view, chains):
     """Both ends of all tracks that pay for being left out, their gain, and how many were tried."""
     parts, total, n_tried = [], 0.0, 0
     # Under a law that cannot follow them, levels are of no use: tracks tell what noise is.
-    levels = np.array(estimate_noise(view.dataset).sigma) if chains else None
     for chain in chains:
         for name in np.unique(chain.names):
-            heads, tails = ends_of(chain.scene, name, levels)
+            heads, tails = ends_of(chain.scene, name, view.scatter)
             n_tried += len(heads)
             if not len(heads):
                 continue

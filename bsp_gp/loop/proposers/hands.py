@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 
-from bsp_gp.data.noise import estimate_noise
 from bsp_gp.fitting.departures import departures, going_on
 from bsp_gp.fitting.hands import is_in_reach
 from bsp_gp.fitting.parts.defects import LeftOut
@@ -35,10 +34,9 @@ class Hands:
 
     def propose(self, view):
         """The family of one: all ends that pay for being left out."""
-        levels = np.array(estimate_noise(view.dataset).sigma)
         even, found, n_tried = np.zeros(1 + len(view.row_draws)), [], 0
         for chain in () if view.is_sky else filter(is_open, chains_of(view)):
-            track = _track(chain, levels)
+            track = _track(chain, view.scatter)
             if track is None:
                 continue
             told = departures(chain.scene.times, *track)
@@ -55,7 +53,7 @@ class Hands:
         proposals = ()
         if is_told:
             parts, gains = zip(*found, strict=True)
-            if leave_motion(view.dataset, parts, levels):
+            if leave_motion(view.dataset, parts, view.scatter):
                 proposals = (proposal_of(view, "untrimmed", parts, sum(gains), n_tried),)
         return Family(self.name, proposals, float(even[0]), 2, even[1:], n_tried=n_tried)
 
