@@ -15,17 +15,21 @@ import time
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
-from common import options, save_figure, write_table, write_text
+from common import options, run_jobs, write_study
 from ranks import coverage, rank_of, simultaneous_band
 from synth import SCENARIOS, dataset_of, likelihood_of, scenes_of, true_law, unknowns
 
 from bsp_gp.inference.e_step import EStep, infer
 from bsp_gp.physics.bodies import stack
-from bsp_gp.workers import worker_pool
 
 LEVELS = (0.5, 0.9)
-CHUNK = 25
+CHUNK = 20
+"""Data sets of a job."""
+PLAN = (
+    ("motion", "importance", 500), ("measurement", "importance", 500), ("motion", "emcee", 200),
+    ("measurement, GLS alone", "importance", 100),
+)  # fmt: skip
+"""Where the noise is, how posteriors are sampled, and of how many data sets a scenario."""
 GROUPS = ["noise", "method", "scenario"]
 E_STEPS = {"importance": EStep("laplace", n_eff=300), "emcee": EStep("emcee", n_eff=300)}
 
@@ -53,9 +57,13 @@ def simulated(name, scene, sigma, kind, rng):
     return replace(scene, positions=p[:, 0])
 
 
-def run(task):
+def work(name, kind, method, first, seed):
+    """Some data sets: a row for every latent of each."""
+    return [row for k in range(first, first + CHUNK) for row in ranked(name, kind, method, k, seed)]
+
+
+def ranked(name, kind, method, index, seed):
     """One data set: a row for every latent."""
-    name, kind, method, index, seed = task
     rng = np.random.default_rng([11, list(SCENARIOS).index(name), index, seed])
     scene = scenes_of(name, [1 + index % 100])[0]
     latents = unknowns(name, [scene])
@@ -88,35 +96,18 @@ def run(task):
 
 def main():
     args = options(__doc__.splitlines()[0])
-    path = args.out / "results.csv"
-    rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
-    done = {(r["scenario"], r["noise"], r["method"], r["index"], r["seed"]) for r in rows}
-    plan = (
-        ("motion", "importance", 500),
-        ("measurement", "importance", 500),
-        ("motion", "emcee", 200),
-        ("measurement, GLS alone", "importance", 100),
-    )
-    todo = [
-        (name, kind, method, index, args.seed)
-        for kind, method, n in plan
+    jobs = [
+        (name, kind, method, first, args.seed)
+        for kind, method, n in PLAN
         for name in ("mat", "nbody", "bounce")
-        for index in range(20 if args.quick else n)
-        if (name, kind, method, index, args.seed) not in done
+        for first in range(0, CHUNK if args.quick else n, CHUNK)
     ]
-    with worker_pool(args.workers) as pool:
-        for start in range(0, len(todo), CHUNK):
-            part = todo[start : start + CHUNK]
-            results = map(run, part) if pool is None else pool.map(run, part)
-            rows += [row for result in results for row in result]
-            write_table(rows, path)
-            print(f"{start + len(part)} of {len(todo)} data sets, at {part[-1][:4]}", flush=True)
-    table = pd.DataFrame(rows)
-    write_summary(table, args.out)
-    draw_figure(table, args.out / "calibration.png")
+    table = run_jobs(jobs, work, args.out, args.workers)
+    write_study(summary(table), figure(table), args.out, "calibration")
 
 
-def write_summary(table, folder):
+def summary(table):
+    """Ranks and coverage of every kind of run, as Markdown."""
     lines = ["# Calibration", "",
              "Ranks of the true values among posterior draws, pooled over exchangeable latents of "
              "a data set; the band holds an empirical distribution of that many independent "
@@ -141,14 +132,11 @@ def write_summary(table, folder):
             f"{int((~part.converged.astype(bool)).sum())} | "
             f"{part.seconds.median():.2f} |"
         )
-    write_text("\n".join(lines) + "\n", folder / "summary.md")
-    print("\n".join(lines))
+    return "\n".join(lines) + "\n"
 
 
-def draw_figure(table, path):
-    import matplotlib
-
-    matplotlib.use("Agg")
+def figure(table):
+    """Distance of the distribution of ranks from a uniform one, and its band."""
     import matplotlib.pyplot as plt
 
     groups = list(table.groupby(GROUPS, sort=False))
@@ -176,7 +164,7 @@ def draw_figure(table, path):
     for ax in axes[:, 0]:
         ax.set_ylabel("empirical - uniform")
     axes[0, 0].legend(fontsize=8, loc="upper right")
-    save_figure(fig, path)
+    return fig
 
 
 if __name__ == "__main__":

@@ -30,7 +30,9 @@ def options(description, argv=None, declare=None):
     if declare is not None:
         declare(parser)
     args = parser.parse_args(argv)
-    args.out = args.out or Path("runs") / Path(sys.argv[0]).stem
+    script = Path(sys.argv[0])
+    bench = "bench-" if script.parent.name == "bench" else ""
+    args.out = args.out or Path("runs") / f"{bench}{script.stem}"
     _hold(args.out)
     return args
 
@@ -175,14 +177,14 @@ def save_figure(figure, path):
     plt.close(figure)
 
 
-def write_study(text, figure, out, name):
+def write_study(text, figure, out, name=""):
     """Print the summary of a study, and write it and the figure beside the table.
 
     Parameters
     ----------
     text : str
         Markdown.
-    figure : Figure
+    figure : Figure or None
     out : Path
         The folder of `run_jobs`.
     name : str
@@ -190,8 +192,9 @@ def write_study(text, figure, out, name):
     """
     print(text)
     write_text(text, out / "summary.md")
-    save_figure(figure, out / f"{name}.png")
-    print(f"table, figure and summary: {out}")
+    if figure is not None:
+        save_figure(figure, out / f"{name}.png")
+    print(f"table{', figure' if figure else ''} and summary: {out}")
 
 
 def run_jobs(jobs, work, out, workers):

@@ -7,8 +7,7 @@ posterior of a mass with the law at every iteration of the first one.
 import time
 
 import numpy as np
-import pandas as pd
-from common import options, save_figure, write_table, write_text
+from common import options, run_jobs, write_study
 from synth import TOUCHING, TRAIN, grammar_of, is_true, likelihood_of, scenes_of, unknowns
 
 from bsp_gp.inference.e_step import EStep
@@ -43,28 +42,15 @@ def run(draw, seed):
     }, em  # fmt: skip
 
 
+def work(draw, seed):
+    """The row of one draw."""
+    return [run(draw, seed)[0]]
+
+
 def main():
     args = options(__doc__.splitlines()[0])
-    path = args.out / "results.csv"
-    rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
-    done = {(row["draw"], row["seed"]) for row in rows}
-    first = None
-    for draw in range(2 if args.quick else 20):
-        if (draw, args.seed) in done:
-            continue
-        row, em = run(draw, args.seed)
-        first = first or em
-        rows.append(row)
-        write_table(rows, path)
-        print(
-            f"draw {draw:2d}  scenes {row['scenes']:9s} recovered {row['recovered']!s:5} "
-            f"{row['seconds']:.0f} s  {row['law']}",
-            flush=True,
-        )
-    if first is None:
-        first = run(0, args.seed)[1]
-    draw_figure(first, args.out / "fig6.png")
-    table = pd.DataFrame(rows)
+    jobs = [(draw, args.seed) for draw in range(2 if args.quick else 20)]
+    table = run_jobs(jobs, work, args.out, args.workers)
     lines = [
         "# EM on NBODY with unknown light masses (Fig. 6)", "",
         f"- true form recovered in {int(table.recovered.sum())} of {len(table)} draws of three "
@@ -74,15 +60,11 @@ def main():
         f"- 90 % intervals hold the true mass in {100 * table.covered_90.mean():.0f} % (data "
         "without noise, likelihood with sigma = 0.01)",
     ]  # fmt: skip
-    write_text("\n".join(lines) + "\n", args.out / "summary.md")
-    print("\n".join(lines))
+    write_study("\n".join(lines) + "\n", figure(run(0, args.seed)[1]), args.out, "fig6")
 
 
-def draw_figure(em, path):
+def figure(em):
     """Posterior of a mass at every iteration, with the law."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     steps = [step for step in em.trace if step.start == 0]
@@ -103,7 +85,7 @@ def draw_figure(em, path):
         ax.set_xlabel(f"{name}, kg")
     np.atleast_1d(axes)[0].set_ylabel("posterior density")
     np.atleast_1d(axes)[0].legend(fontsize=8, loc="lower left", framealpha=1)
-    save_figure(fig, path)
+    return fig
 
 
 if __name__ == "__main__":

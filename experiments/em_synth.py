@@ -9,8 +9,7 @@ by its literal five steps; errors are averaged over posterior draws.
 import time
 
 import numpy as np
-import pandas as pd
-from common import options, save_figure, write_table, write_text
+from common import options, run_jobs, write_study
 from synth import (
     SCENARIOS,
     TEST,
@@ -32,37 +31,35 @@ from bsp_gp.inference.e_step import EStep, infer
 from bsp_gp.inference.em import CLASS_NATS, EmSettings, fit_em
 from bsp_gp.inference.prediction import posterior_nrmse
 from bsp_gp.inference.profile import fit_profile
-from bsp_gp.workers import worker_pool
 
 NOISE = {"nbody": 0.01, "bounce": 0.01, "mat": 0.001}
 PAPER = {"nbody": (8.05e-1, 1.77), "bounce": (3.16e-2, 5.98e-2), "mat": (5.39e-4, 1.20e-3)}
 TEST_STEP = EStep("laplace", n_draws=4000, n_eff=300, max_steps=2000)
 FIVE_STEP = EStep("laplace", n_draws=400, n_eff=100, max_steps=250)
 N_DRAWS = 100
-KEY = ["scenario", "method", "n_train", "noise", "shuffle", "seed"]
+KIND = ["scenario", "method", "n_train", "noise"]
 
 
-def tasks(quick):
+def jobs_of(quick, seed):
     """Every run: noise-free, with noise, EM alone, more scenes."""
     names = ("mat", "nbody", "bounce")
     if quick:
-        out = [(name, "em", 5, 0.0, 0, 0) for name in names]
-        return out + [("mat", "em", 5, NOISE["mat"], 0, 0), ("mat", "em_alone", 5, 0.0, 0, 0)]
+        out = [(name, "em", 5, 0.0, 0, seed) for name in names]
+        return [*out, ("mat", "em", 5, NOISE["mat"], 0, seed), ("mat", "em_alone", 5, 0.0, 0, seed)]
     alone = {"mat": 10, "nbody": 10, "bounce": 5}
     out = []
     for name in names:
-        out += [(name, "em", 5, NOISE[name], a, 0) for a in range(10)]
+        out += [(name, "em", 5, NOISE[name], a, seed) for a in range(10)]
         if name == "mat":
-            out += [(name, "em", 10, 0.0, a, 0) for a in range(10)]
-        out += [(name, "em", 5, 0.0, a, b) for b in range(5) for a in range(5)]
+            out += [(name, "em", 10, 0.0, a, seed) for a in range(10)]
+        out += [(name, "em", 5, 0.0, a, seed + b) for b in range(5) for a in range(5)]
     for name in names:  # the ablation last
-        out += [(name, "em_alone", 5, 0.0, a, 0) for a in range(alone[name])]
+        out += [(name, "em_alone", 5, 0.0, a, seed) for a in range(alone[name])]
     return out
 
 
-def run(task):
-    """One run; its row of the table."""
-    name, method, n_train, noise, shuffle, seed = task
+def work(name, method, n_train, noise, shuffle, seed):
+    """One run: a row."""
     chosen = np.random.default_rng([7, shuffle]).permutation(np.array(TRAIN))[:n_train]
     noise_rng = np.random.default_rng([8, shuffle])
     rng = np.random.default_rng([9, shuffle, seed])
@@ -83,8 +80,9 @@ def run(task):
     misfit = likelihood.misfit(true_law(name), latents, train)
     truth = fit_profile(misfit, latents.sample(12, rng=true_rng))
     members = em.equivalents() if not alone else (em.best,)
-    return {
-        **dict(zip(KEY, task, strict=True)),
+    return [{
+        "scenario": name, "method": method, "n_train": n_train, "noise": noise, "shuffle": shuffle,
+        "seed": seed,
         "recovered": is_true(name, em.best.formula),
         "true_gap": truth.loss - em.best.loss,
         "true_listed": any(is_true(name, f) for c in members for f in (c.formula, *c.ties)),
@@ -97,7 +95,7 @@ def run(task):
         "seconds": seconds,
         "n_scored": em.n_scored,
         "class": " | ".join(c.text for c in members),
-    }
+    }]  # fmt: skip
 
 
 def scores(name, law, test, noise, rng):
@@ -135,27 +133,8 @@ def scores(name, law, test, noise, rng):
 
 def main():
     args = options(__doc__.splitlines()[0])
-    path = args.out / "results.csv"
-    rows = pd.read_csv(path).to_dict("records") if path.is_file() else []
-    done = {tuple(row[k] for k in KEY) for row in rows}
-    todo = [t for t in tasks(args.quick) if t not in done]
-    todo = [(*t[:5], t[5] + args.seed) for t in todo]
-    with worker_pool(args.workers) as pool:
-        results = map(run, todo) if pool is None else pool.map(run, todo)
-        for row in results:
-            rows.append(row)
-            write_table(rows, path)
-            print(
-                f"{row['scenario']:7s}{row['method']:9s} {row['n_train']:2d} scenes noise "
-                f"{row['noise']:<6g}{row['shuffle']}/{row['seed']}  "
-                f"recovered {row['recovered']!s:5}  gap {row['true_gap']:9.2g}  "
-                f"class {row['n_class']:2d}  nRMSE {row.get('nrmse_test', np.nan):.3g}  "
-                f"{row['seconds']:.0f} s  {row['law']}",
-                flush=True,
-            )
-    write_summary(pd.DataFrame(rows), args.out)
-    draw_figure(pd.DataFrame(rows), args.out / "table1.png")
-    print(f"table: {path}")
+    table = run_jobs(jobs_of(args.quick, args.seed), work, args.out, args.workers)
+    write_study(summary(table), figure(table), args.out, "table1")
 
 
 def quartiles(values):
@@ -163,7 +142,8 @@ def quartiles(values):
     return f"{middle:.3g} ({low:.2g} to {high:.2g})"
 
 
-def write_summary(table, folder):
+def summary(table):
+    """Rates and errors of every kind of run, as Markdown."""
     lines = ["# EM with unknown properties on SYNTH (Table 1)", "",
              "E-step: one step, independent errors, sigma = the protocol's noise level; beside it "
              "the protocol's five steps. Noisy data: the covariance of position noise in second "
@@ -172,7 +152,7 @@ def write_summary(table, folder):
             "listed", "nRMSE", "contact-free", "five-step", "at posterior mean", "true law",
             "vs clean", "paper", "zero force", "s")  # fmt: skip
     lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for (name, method, n_train, noise), part in table.groupby(KEY[:4], sort=False):
+    for (name, method, n_train, noise), part in table.groupby(KIND, sort=False):
 
         def stat(column, part=part):
             known = part[column].notna().any() if column in part else False
@@ -195,14 +175,11 @@ def write_summary(table, folder):
                   "Laws within 3 nats of the best, by how many runs list them:", ""]  # fmt: skip
         names = mats["class"].str.split(" | ", regex=False).explode()
         lines += [f"- {count}: `{law}`" for law, count in names.value_counts().head(20).items()]
-    write_text("\n".join(lines) + "\n", folder / "summary.md")
-    print("\n".join(lines))
+    return "\n".join(lines) + "\n"
 
 
-def draw_figure(table, path):
-    import matplotlib
-
-    matplotlib.use("Agg")
+def figure(table):
+    """Test error of every run beside the paper's."""
     import matplotlib.pyplot as plt
 
     fig, axes = plt.subplots(1, 3, figsize=(10, 3.6), constrained_layout=True)
@@ -240,7 +217,7 @@ def draw_figure(table, path):
     fig.legend(
         named.values(), named.keys(), loc="outside lower center", ncols=4, fontsize=8, frameon=False
     )
-    save_figure(fig, path)
+    return fig
 
 
 if __name__ == "__main__":

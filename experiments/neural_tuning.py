@@ -9,7 +9,7 @@ take longest and the best learn to predict nothing, OGN alone is asked, at one r
 import os
 from dataclasses import replace
 
-from common import options, reference_data, run_jobs, write_text
+from common import options, reference_data, run_jobs, write_study
 from scenes import scenario
 
 from bsp_gp.physics.force import ForceLaw
@@ -96,9 +96,7 @@ def main():
     args = options(__doc__.splitlines()[0])
     reference_data("synth")
     text = summary(run_jobs(jobs_of(args.quick), work, args.out, args.workers))
-    print(text)
-    write_text(text, args.out / "summary.md")
-    print(f"table and summary: {args.out}")
+    write_study(text, None, args.out)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ with 1e-15, as sharp as they go. A run is right with six digits in every paramet
 import warnings
 
 from certified import Dense, read_problem
-from common import options, reference_data, run_jobs, write_text
+from common import options, reference_data, run_jobs, write_study
 from scipy.optimize import least_squares
 
 from bsp_gp.fitting.least_squares import minimise
@@ -85,9 +85,7 @@ def main():
     names = [name for name in names if not args.quick or name in QUICK]
     jobs = [(name, start, solver) for name in names for start in (1, 2) for solver in SOLVERS]
     text = summary(run_jobs(jobs, work, args.out, args.workers))
-    print(text)
-    write_text(text, args.out / "summary.md")
-    print(f"table and summary: {args.out}")
+    write_study(text, None, args.out)
 
 
 if __name__ == "__main__":

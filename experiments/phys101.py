@@ -179,9 +179,6 @@ def table_two(clips, seeds):
 
 def figure(clips, table):
     """Table 2 as bars, and the vertical motion of the springs with the damped fit."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     fig, axes = plt.subplots(2, 2, figsize=(12, 7.5), layout="constrained")

@@ -161,9 +161,6 @@ def human_correlation(out):
 
 def figure(results, table):
     """Table 3 as bars, calibration, and confusions, on one page."""
-    import matplotlib
-
-    matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     fig, axes = plt.subplots(2, 4, figsize=(15, 7.5), layout="constrained")

@@ -231,7 +231,7 @@ def rough_constants(fits):
     return Constants(gamma=top["drag"] / max(CLASSES["friction"]), g=top["pull"], k=top["pair"])
 
 
-def learn(summaries, start, iterations=6, slack=True):
+def learn(summaries, start, iterations=6):
     """Shared constants from unlabelled movies: assign the best classes, refit, repeat.
 
     Hard expectation-maximisation; each refit is a least-squares fit of the constants to the
@@ -247,8 +247,7 @@ def learn(summaries, start, iterations=6, slack=True):
         before = constants
         choices = [best_choice(s, joint(s, constants)) for s in summaries]
         constants, errors = _refit(summaries, choices, constants)
-        if slack:
-            constants = replace(constants, slack=_slack(summaries, choices, constants))
+        constants = replace(constants, slack=_slack(summaries, choices, constants))
         change = [abs(getattr(constants, n) - getattr(before, n)) for n in Constants.FITTED]
         if max(change) < 1e-4:
             break

@@ -203,33 +203,33 @@ def fit_em(
     with one_thread():
         run = _Em(
             tuple(scenes), latents, grammar, likelihood, settings or EmSettings(),
-            m_step or Exhaustive(), base or ForceLaw(), kinds or tuple(grammar.start),
+            m_step or Exhaustive(), base or ForceLaw(), tuple(kinds or grammar.start),
             e_likelihood or likelihood, progress or (lambda text: None),
         )  # fmt: skip
         return run.result(generator(rng), started)
 
 
+@dataclass(eq=False)
 class _Em:
-    def __init__(
-        self, scenes, latents, grammar, likelihood, settings, m_step, base, kinds, e_likelihood,
-        progress,
-    ):  # fmt: skip
-        self.scenes = scenes
-        self.latents, _ = latents.of_scenes([scene.name for scene in scenes])
-        self.grammar = grammar
-        self.likelihood = likelihood
-        self.e_likelihood = e_likelihood
-        self.settings = settings
-        self.m_step = m_step
-        self.base = base
-        self.kinds = tuple(kinds)
-        self.progress = progress
-        self.trace = []
-        self.n_scored = 0
-        n_reserved = settings.n_reserved
+    """One run; fields are what `fit_em` takes, without defaults."""
+
+    scenes: tuple
+    latents: object
+    grammar: object
+    likelihood: object
+    settings: EmSettings
+    m_step: object
+    base: ForceLaw
+    kinds: tuple
+    e_likelihood: object
+    progress: object
+
+    def __post_init__(self):
+        self.latents, _ = self.latents.of_scenes([scene.name for scene in self.scenes])
+        self.trace, self.n_scored, own = [], 0, self.settings
         self.beam = Beam(
-            scenes, self.latents, likelihood, n_best=settings.n_best, n_reserved=n_reserved,
-            beta=settings.beta, base=base,
+            self.scenes, self.latents, self.likelihood, n_best=own.n_best,
+            n_reserved=own.n_reserved, beta=own.beta, base=self.base,
         )  # fmt: skip
 
     def result(self, rng, started):

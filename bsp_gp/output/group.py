@@ -79,7 +79,7 @@ class Group:
 
 
 @contextmanager
-def claim_group(folder, folders, files, *, inputs=(), overwrite=False):
+def claim_group(folder, folders, files, *, overwrite=False):
     """Hold the places of results that belong together.
 
     Parameters
@@ -90,7 +90,7 @@ def claim_group(folder, folders, files, *, inputs=(), overwrite=False):
         Kind of result by the ending of its name; that of the first is "".
     files : iterable of str
         Endings of the names of files.
-    inputs, overwrite
+    overwrite : bool
         See `claim`.
 
     Yields
@@ -103,12 +103,11 @@ def claim_group(folder, folders, files, *, inputs=(), overwrite=False):
         See `claim`.
     """
     with contextlib.ExitStack() as stack:
-        main = stack.enter_context(claim(folder, folders[""], inputs=inputs, overwrite=overwrite))
+        main = stack.enter_context(claim(folder, folders[""], overwrite=overwrite))
         group = Group(main, folders, files, overwrite)
         for suffix, kind in folders.items():
             if suffix:
-                path = group.beside(suffix)
-                stack.enter_context(claim(path, kind, inputs=inputs, overwrite=overwrite))
+                stack.enter_context(claim(group.beside(suffix), kind, overwrite=overwrite))
         with told(group.path):
             group.require_free()
         yield group

@@ -22,8 +22,6 @@ from bsp_gp.report.numbers import (
 )
 from bsp_gp.units import is_speed
 
-WORSE = 1.2
-"""Ratio of errors from which a body is told to be predicted worse."""
 _METRICS = (
     ("rollout_rmse", "held-out position error"),
     ("one_step_nrmse", "held-out one-step error"),
@@ -67,7 +65,8 @@ def _ended(text):
 
 
 WORSE = 1.1
-"""Ratio of errors on what was held out, from which the adopted law is told to foresee it worse."""
+"""Ratio of errors on what was held out, of all or of one body, from which the adopted law is told
+to foresee it worse."""
 _DESCRIBES = "It describes these tracks, but "
 
 

@@ -52,7 +52,7 @@ class Outcome:
     certificate: object = None
 
 
-def certified(objective, *, missing_inputs=(), progress=None):
+def certified(objective, *, missing_inputs=()):
     """The exhaustive search's optimum of an objective's cost.
 
     Parameters
@@ -62,14 +62,9 @@ def certified(objective, *, missing_inputs=(), progress=None):
     """
     started = time.process_time()
     result = search_sums(
-        objective.regression,
-        objective.grammar,
-        kind=objective.kind,
-        nuisance=objective.q if objective.q.shape[1] else None,
-        target=objective.y,
-        missing_inputs=missing_inputs,
-        progress=progress,
-    )
+        objective.regression, objective.grammar, kind=objective.kind, target=objective.y,
+        nuisance=objective.q if objective.q.shape[1] else None, missing_inputs=missing_inputs,
+    )  # fmt: skip
     seconds = time.process_time() - started
     best = min(result.candidates, key=lambda c: cost_of(objective, c), default=None)
     cost = cost_of(objective, best) if best else float("inf")

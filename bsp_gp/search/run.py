@@ -71,8 +71,6 @@ def run_search(
     callback=None,
     checkpoint=None,
     keep=40,
-    trials=1,
-    executor=None,
     is_part=False,
 ):
     """Run a strategy until its budget is spent, a callback asks to stop, or Ctrl-C.
@@ -80,22 +78,15 @@ def run_search(
     Parameters
     ----------
     budget : Budget
-        Of every trial.
     rng : numpy.random.Generator
         Only its seed sequence matters; step k uses the k-th stream spawned from it.
     callback : callable, optional
-        ``callback(step, objective) -> bool``: True stops. With several trials it is called after
-        each of them, with its number.
+        ``callback(step, objective) -> bool``: True stops.
     checkpoint : path, optional
         State is written there (whole or not at all) often enough to lose little, and at the end;
         if the file exists the run goes on from it. The answer is that of an uninterrupted run.
-        Trial k of several writes ``NAME.k.SUFFIX``.
     keep : int
         Candidates in the result.
-    trials : int
-        Independent runs whose best laws are put together (the paper's ``ntrials``).
-    executor : concurrent.futures.Executor, optional
-        Where trials run; by default here, one after the other. The answer is the same.
     is_part : bool
         Of a larger work, which Ctrl-C is to end; by default it ends the search, and what was
         found until then is the result.
@@ -105,63 +96,13 @@ def run_search(
     OutputError
         If the checkpoint cannot be written, is damaged, or is that of another search (strategy
         and its settings, grammar, data, seed). The file is left as it is.
-    SettingsError
-        If `trials` is not at least 1.
     """
-    if trials < 1:
-        raise SettingsError(f"trials must be at least 1, got {trials}")
     started = time.perf_counter()
-    if trials == 1 and executor is None:
-        entropy = int(rng.integers(2**63))
-        _run(strategy, objective, budget, entropy, callback, checkpoint, is_part)
-        n_evaluated = objective.n_scored
-    else:
-        n_evaluated = _trials(
-            strategy, objective, budget, rng, callback, checkpoint, keep, trials, executor, is_part
-        )
-    with one_thread():
-        return _result(objective, keep, n_evaluated, time.perf_counter() - started)
-
-
-def _trials(
-    strategy, objective, budget, rng, callback, checkpoint, keep, trials, executor, is_part
-):  # fmt: skip
-    """Run trials and score their best laws together; number of laws scored in all."""
-    jobs = [
-        (strategy, objective, budget, int(entropy), _numbered(checkpoint, k), keep, is_part)
-        for k, entropy in enumerate(rng.integers(2**63, size=trials), 1)
-    ]
-    outcomes = map(_trial, jobs) if executor is None else executor.map(_trial, jobs)
-    n_evaluated = 0
-    try:
-        for k, (expressions, n_scored) in enumerate(outcomes, 1):
-            with one_thread():
-                objective.score(expressions)
-            n_evaluated += n_scored
-            if callback is not None and callback(k, objective):
-                break
-    except KeyboardInterrupt:
-        if is_part or not objective.best:
-            raise
-    return n_evaluated
-
-
-def _trial(job):
-    """One trial on an objective of its own: its best expressions, and how many it scored."""
-    strategy, objective, budget, entropy, checkpoint, keep, is_part = job
-    objective = objective.fresh()
-    _run(strategy, objective, budget, entropy, None, checkpoint, is_part)
-    return [e for e, _ in (*_ranked(objective, keep), *objective.front())], objective.n_scored
-
-
-def _numbered(path, k):
-    return None if path is None else Path(path).with_suffix(f".{k}{Path(path).suffix}")
-
-
-def _run(strategy, objective, budget, entropy, callback, checkpoint, is_part=False):
-    # One thread: the last bits of a sum may not depend on how many there are.
-    with one_thread(), _patient_collector():
-        _steps(strategy, objective, budget, entropy, callback, checkpoint, is_part)
+    entropy = int(rng.integers(2**63))
+    with one_thread():  # the last bits of a sum may not depend on how many there are
+        with _patient_collector():
+            _steps(strategy, objective, budget, entropy, callback, checkpoint, is_part)
+        return _result(objective, keep, time.perf_counter() - started)
 
 
 def _steps(strategy, objective, budget, entropy, callback, path, is_part):
@@ -217,16 +158,13 @@ class _Streams:
         return np.random.default_rng(child)
 
 
-def _ranked(objective, keep):
-    return sorted(objective.best.values(), key=lambda e: (e[1].cost, e[1].complexity))[:keep]
-
-
-def _result(objective, keep, n_evaluated, seconds):
-    candidates = [objective.candidate(expression) for expression, _ in _ranked(objective, keep)]
+def _result(objective, keep, seconds):
+    ranked = sorted(objective.best.values(), key=lambda e: (e[1].cost, e[1].complexity))[:keep]
+    candidates = [objective.candidate(expression) for expression, _ in ranked]
     front = [objective.candidate(expression) for expression, _ in objective.front()]
     best = candidates[0] if candidates else None
     return SearchResult(
-        best, tuple(candidates), tuple(front), n_evaluated, objective.n_failed, seconds
+        best, tuple(candidates), tuple(front), objective.n_scored, objective.n_failed, seconds
     )
 
 

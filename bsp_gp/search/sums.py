@@ -102,14 +102,12 @@ class _Chosen:
         return 0.5 * n_rows * np.log(spread) + constants + sum(self.complexities)
 
 
-def search_sums(
-    regression, grammar, *, kind, nuisance=None, target=None, progress=None, **settings
-):
+def search_sums(regression, grammar, *, kind, nuisance=None, target=None, **settings):
     """Find the best sum of terms of a grammar.
 
     Parameters
     ----------
-    regression, grammar, kind, nuisance, target, progress, **settings
+    regression, grammar, kind, nuisance, target, **settings
         As in `search_exhaustive`; the number of terms is the grammar's. A grammar without sums
         is searched by `search_exhaustive` itself.
 
@@ -121,11 +119,10 @@ def search_sums(
     """
     if len(terms_of(grammar, kind)) == 1:
         return search_exhaustive(
-            regression, grammar, kind=kind, nuisance=nuisance, target=target, progress=progress,
-            **settings,
-        )  # fmt: skip
+            regression, grammar, kind=kind, nuisance=nuisance, target=target, **settings
+        )
     started = time.perf_counter()
-    search = _Sums(regression, grammar, kind, nuisance, target, progress, dict(settings))
+    search = _Sums(regression, grammar, kind, nuisance, target, dict(settings))
     search.run()
     ranked = sorted(search.found.values(), key=search.cost)
     candidates = [search.candidate(chosen) for chosen in ranked[: settings.get("top_k", 40)]]
@@ -147,7 +144,7 @@ def search_sums(
 
 
 class _Sums:
-    def __init__(self, regression, grammar, kind, nuisance, target, progress, settings):
+    def __init__(self, regression, grammar, kind, nuisance, target, settings):
         self.regression = regression
         self.grammar = grammar
         self.kind = kind
@@ -156,7 +153,6 @@ class _Sums:
         self.nuisance = np.zeros((n, 0)) if nuisance is None else np.asarray(nuisance, dtype=float)
         q = orthonormal(self.nuisance, n)
         self.projected = Projected(regression, self.target - q @ (q.T @ self.target), q)
-        self.progress = progress
         self.names = terms_of(grammar, kind)
         # Of one term: the start symbol is replaced, everything else stays.
         single = replace(grammar, start={**grammar.start, kind: self.names[0]})
@@ -261,10 +257,8 @@ class _Sums:
 
     def searched(self, nuisance, **options):
         """The search for one more term beside columns that are fitted."""
-        result = self.single.search(
-            nuisance=nuisance, target=self.target, progress=self.progress,
-            **{**self.settings, **options},
-        )  # fmt: skip
+        settings = {**self.settings, **options}
+        result = self.single.search(nuisance=nuisance, target=self.target, **settings)
         self.n_evaluated += result.n_evaluated
         # The same sub-expressions in every search.
         self.n_failed = max(self.n_failed, result.n_failed)

@@ -29,8 +29,8 @@ class Calibration:
     residual: float = math.nan
 
     @classmethod
-    def from_scale(cls, px_per_unit, unit="m", origin=(0.0, 0.0), angle=0.0):
-        """Scale in pixels per unit, origin in pixels, angle of the x axis (radians, upwards).
+    def from_scale(cls, px_per_unit, unit="m"):
+        """Scale in pixels per unit, the origin at the first pixel.
 
         Raises
         ------
@@ -39,10 +39,7 @@ class Calibration:
         """
         if not (math.isfinite(px_per_unit) and px_per_unit > 0):
             raise SettingsError(f"the scale must be positive pixels per unit, got {px_per_unit}")
-        c, s = math.cos(angle), math.sin(angle)
-        shift = np.array([[1.0, 0.0, -origin[0]], [0.0, -1.0, origin[1]], [0.0, 0.0, 1.0]])
-        turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, px_per_unit]])
-        return cls(turn @ shift, unit)
+        return cls(np.diag([1.0, -1.0, px_per_unit]), unit)
 
     @classmethod
     def from_points(cls, pixels, world, unit="m"):

@@ -79,11 +79,10 @@ class Video:
         finally:
             capture.release()
 
-    def sample(self, n, start=0, stop=None):
+    def sample(self, n):
         """About `n` evenly spaced frames as ``(indices, images)``."""
-        stop = self.n_frames if stop is None else min(stop, self.n_frames)
-        wanted = set(np.unique(np.linspace(start, stop - 1, n).round().astype(int)).tolist())
-        kept = list(self.frames(start, stop, wanted))
+        wanted = set(np.linspace(0, self.n_frames - 1, n).round().astype(int).tolist())
+        kept = list(self.frames(0, self.n_frames, wanted))
         return np.array([k for k, _ in kept], dtype=int), [image for _, image in kept]
 
     @property

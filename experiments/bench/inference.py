@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from common import options, write_table, write_text
+from common import options, write_study, write_table
 from synth import SCENARIOS, five_step, likelihood_of, scenes_of, true_law, unknowns
 
 from bsp_gp.inference.misfit import DirectMisfit
@@ -56,7 +56,6 @@ def run(name, seed, seconds):
 
 def main():
     args = options(__doc__.splitlines()[0])
-    args.out = Path("runs") / "bench-inference" if args.out == Path("runs/inference") else args.out
     seconds = 0.3 if args.quick else 2.0
     rows = [row for name in SCENARIOS for row in run(name, args.seed, seconds)]
     write_table(rows, args.out / "results.csv")
@@ -64,9 +63,7 @@ def main():
              "Asked on NBODY: one-step 20,000, five-step 4,000, track 5,000.", "",
              "| scenario | path | a second |", "|---|---|---|"]  # fmt: skip
     lines += [f"| {r['scenario']} | {r['path']} | {r['a_second']:,.0f} |" for r in rows]
-    text = "\n".join(lines) + "\n"
-    write_text(text, args.out / "summary.md")
-    print(text)
+    write_study("\n".join(lines) + "\n", None, args.out)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from common import options, run_jobs, save_figure, write_text
+from common import options, run_jobs, write_study
 
 SIGMA = 0.002
 """Noise of a position, m."""
@@ -209,10 +209,7 @@ def main(argv=None):
         (kind, size, args.workers) for kind in args.only for size in KINDS[kind][2] if size <= most
     ]
     table = run_jobs(jobs, partial(work, folder=args.out), args.out, 1)
-    text = summary(table)
-    print(text)
-    write_text(f"{text}\n", args.out / "summary.md")
-    save_figure(drawn(table), args.out / "scale.png")
+    write_study(f"{summary(table)}\n", drawn(table), args.out, "scale")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from common import options, run_jobs, write_text
+from common import options, run_jobs, write_study
 from scenes import scenario
 
 from bsp_gp.language.grammar import load_grammar
@@ -333,12 +333,8 @@ def summary(table):
 
 def main():
     args = options(__doc__.splitlines()[0])
-    args.out = Path("runs") / "bench-searches" if args.out == Path("runs/searches") else args.out
     table = run_jobs(jobs_of(args.quick), work, args.out, 1)
-    text = summary(table)
-    print(text)
-    write_text(text, args.out / "summary.md")
-    print(f"table and summary: {args.out}")
+    write_study(summary(table), None, args.out)
 
 
 if __name__ == "__main__":

@@ -3,13 +3,11 @@
 import functools
 import hashlib
 import json
-import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +18,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.search.cross_entropy import CrossEntropy, RandomSearch
 from bsp_gp.search.genetic import Genetic
 from bsp_gp.search.objective import Objective
-from bsp_gp.search.run import Budget, _run, run_search
+from bsp_gp.search.run import Budget, run_search
 from tests.unit.test_banks_exhaustive import MIXED, derivations, grammar_of, regression_of
 from tests.unit.test_objective import newtonian_of
 
@@ -371,79 +369,8 @@ def test_interrupt_before_there_is_anything(monkeypatch):
         run("cross_entropy", 3, objective=objective)
 
 
-# --- trials and executors ---------------------------------------------------------------------
-
-
 def laws(result):
     return [(to_text(c.formula), c.constants, c.loss.hex()) for c in result.candidates]
-
-
-def trials(executor=None, name="cross_entropy", **settings):
-    rng = np.random.default_rng(5)
-    return run_search(
-        STRATEGIES[name], objective_of(), Budget(n_steps=2), rng=rng, trials=3, executor=executor,
-        **settings,
-    )  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["cross_entropy", "genetic"])
-def test_trials_are_the_same_on_any_executor(name):
-    expected = trials(name=name)
-    for make in (
-        lambda: ThreadPoolExecutor(2),
-        lambda: ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")),
-        lambda: ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")),
-    ):
-        with make() as executor:
-            found = trials(executor, name)
-        assert laws(found) == laws(expected)
-        assert laws_of_front(found) == laws_of_front(expected)
-        assert found.n_evaluated == expected.n_evaluated
-
-
-def laws_of_front(result):
-    return [to_text(c.formula) for c in result.front]
-
-
-def test_trials_are_put_together():
-    """The best of three trials is the best of each, and they are independent of each other."""
-    entropies = np.random.default_rng(5).integers(2**63, size=3)
-    seen, costs = 0, []
-    for entropy in entropies:
-        objective = objective_of()
-        _run(STRATEGIES["cross_entropy"], objective, Budget(n_steps=2), int(entropy), None, None)
-        seen += objective.n_scored
-        costs.append(min(score.cost for _, score in objective.best.values()))
-    assert len(set(costs)) > 1
-    result = trials()
-    assert result.n_evaluated == seen
-    objective = objective_of()
-    (score,) = objective.score([result.best.expression])
-    assert score.cost == pytest.approx(min(costs), rel=1e-12)
-
-
-def test_trials_resume_each(tmp_path):
-    path = tmp_path / "run.json"
-    expected = trials(checkpoint=path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.1.json", "run.2.json", "run.3.json"]
-    (tmp_path / "run.2.json").unlink()
-    assert laws(trials(checkpoint=path)) == laws(expected)
-
-
-def test_trials_can_be_stopped_between():
-    seen = []
-    result = trials(callback=lambda k, objective: seen.append(k) or k == 2)
-    assert seen == [1, 2]
-    assert 0 < result.n_evaluated < trials().n_evaluated
-
-
-def test_trials_must_be_one_or_more():
-    with pytest.raises(SettingsError, match="trials must be at least 1"):
-        run_search(
-            STRATEGIES["random"], objective_of(), Budget(n_steps=1), trials=0,
-            rng=np.random.default_rng(0),
-        )  # fmt: skip
 
 
 def test_checkpoints_cost_little(tmp_path, monkeypatch):

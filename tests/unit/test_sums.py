@@ -131,7 +131,7 @@ def test_first_terms_are_also_looked_for_where_nothing_touches():
     places = rng.uniform(-1, 1, (40, 3, 2))
     scene = Scene("s", 0.1 * np.arange(40), places, tuple(discs))
     regression = build_regression([scene], method="one_step", sigma=[1.0, 1.0])
-    sums = _Sums(regression, grammar, "pair", None, None, None, {"max_levels": 5})
+    sums = _Sums(regression, grammar, "pair", None, None, {"max_levels": 5})
     rows = sums.touched("does_collide")
     pull = parse_formula("m_i * normalize(v_i)", grammar.inputs)
     sums.target = regression.column(Term(pull, "pair"))[0][:, 0]

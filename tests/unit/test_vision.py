@@ -113,8 +113,8 @@ def test_two_mats_of_one_colour_that_overlap_are_two():
 def test_two_points_give_scale_and_axes():
     c = Calibration.from_points([(100, 200), (100, 100)], [(0, 0), (0, 2)])
     np.testing.assert_allclose(c.world([[100, 150], [150, 200]]), [[0, 1], [1, 0]], atol=1e-12)
-    s = Calibration.from_scale(50.0, origin=(100, 200))
-    np.testing.assert_allclose(s.world([[100, 150], [150, 200]]), [[0, 1], [1, 0]], atol=1e-12)
+    s = Calibration.from_scale(50.0)
+    np.testing.assert_allclose(s.world([[0, -50], [50, 0]]), [[0, 1], [1, 0]], atol=1e-12)
 
 
 def test_four_points_of_a_tilted_plane_give_a_homography():
