@@ -214,9 +214,11 @@ def is_idle(rounds, removed, ratio):
     found = [r.decision.best for r in _kept(rounds, removed)]
     end = rounds[-1].decision
     is_open = end.verdict in ("seen, not adopted", "cannot tell") and not end.is_adopted
-    # A memory of the noise is an account, unless it is as large as the motion.
+    # A memory of the noise is an account, unless it is as large as the motion, or what might be
+    # beside it was not looked for.
     is_tied = end.reason == "kinds_tie"
-    moving = ("kicks",) if end.reason == "swamped" or is_tied else ("kicks", "noise")
+    is_none = end.reason == "swamped" or is_tied or rounds[-1].left_out
+    moving = ("kicks",) if is_none else ("kicks", "noise")
     moves = any(foresees(best) or best.kind in moving for best in found)
     return bool(found) and is_open and not moves and (is_tied or not ratio.value < NO_BETTER)
 

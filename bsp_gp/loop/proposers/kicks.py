@@ -89,7 +89,7 @@ class Kicks:
             return replace(known, proposals=(_slowed(view, best, gain),))
         if not _are_told(best, view.criteria):
             return known
-        text = _text(best, _n_leaps(view.dataset, tracks))
+        text = _text(best, sum(len(leaps(*own)) for own in _seen(view.dataset, _axes(view.fit))))
         proposal = Kicked(
             "kicks", text, view.hypothesis, -view.criteria.cause_nats, gain,
             len(best.values), kind="kicks", is_last=True,
@@ -116,11 +116,14 @@ def _asked(dataset, fit):
     """
     if fit.law.terms or fit.law.frame or is_of_the_sky(dataset):
         return []
-    rows = [np.isfinite(s.positions[:, k]).all(axis=1).sum()
-            for s in dataset.scenes for k in s.dynamic]  # fmt: skip
-    if min(rows, default=0) < LEAST_ROWS:
-        return []
-    return _tracks(dataset, np.flatnonzero(np.isfinite(fit.noise.levels)))
+    axes = _axes(fit)
+    counts = [len(times) for times, _ in _seen(dataset, axes) if len(times) > MOST_ALONE]
+    return _tracks(dataset, axes) if min(counts, default=0) >= LEAST_ROWS else []
+
+
+def _axes(fit):
+    """Axes along which anything moves, ndarray of int."""
+    return np.flatnonzero(np.isfinite(fit.noise.levels))
 
 
 def _likeliest(tracks, fit, criteria, tick=None):
@@ -195,15 +198,20 @@ def _of_mass(model, dataset):
 def _tracks(dataset, axes):
     """Every body of every scene that forces move, up to each leap and from there on."""
     out = []
+    for times, places in _seen(dataset, axes):
+        at = leaps(times, places)
+        pieces = zip(np.split(times, at), np.split(places, at), strict=True)
+        out += [Track(*piece) for piece in pieces if len(piece[0]) > MOST_ALONE]
+    return out
+
+
+def _seen(dataset, axes):
+    """Times (T,) and places (T, a) of every body of every scene that forces move, without gaps."""
     for scene in dataset.scenes:
         for k in scene.dynamic:
             places = scene.positions[:, k][:, axes]
-            seen = np.isfinite(places).all(axis=1)
-            times, places = scene.times[seen], places[seen]
-            at = leaps(times, places)
-            pieces = zip(np.split(times, at), np.split(places, at), strict=True)
-            out += [Track(*piece) for piece in pieces if len(piece[0]) > MOST_ALONE]
-    return out
+            is_seen = np.isfinite(places).all(axis=1)
+            yield scene.times[is_seen], places[is_seen]
 
 
 def leaps(times, places):
@@ -231,11 +239,6 @@ def _wider(tracks):
         speed = math.log(max(STATE_PRIOR * extent / span / max(fastest, 1e-300), 1.0))
         total += track.places.shape[1] * (math.log(STATE_PRIOR / FARTHEST) + speed)
     return total
-
-
-def _n_leaps(dataset, tracks):
-    """Leaps at which tracks were cut."""
-    return len(tracks) - sum(len(scene.dynamic) for scene in dataset.scenes)
 
 
 def _text(model, n_leaps=0):
