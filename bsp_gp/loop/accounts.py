@@ -68,12 +68,14 @@ class Accounts:
     ----------
     rows : list of list of dict
         Of every fit, scene by scene, see `held_out_rows`.
+    scatter : tuple of float or None
+        Of the scenes, see `scatter_of`; None without any.
     """
 
     def __init__(self, fits, dataset, scenes, rng, n_copies=40, crew=None, kept=None):
         self._crew = crew or Crew()
         self.fits, self.dataset, self.scenes = fits, dataset, tuple(scenes)
-        self._scatter = scatter_of(dataset, self.scenes) if self.scenes else None
+        self.scatter = scatter_of(dataset, self.scenes) if self.scenes else None
         self._copies_rng, picks_rng, self._mixed_rng = rng.spawn(3)
         self.rows = self._rows(fits, {} if kept is None else kept)
         n = len(self.scenes)
@@ -84,7 +86,7 @@ class Accounts:
 
     def _rows(self, fits, kept):
         new = list({id(fit): fit for fit in fits if id(fit) not in kept}.values())
-        made = self._crew.map(_rows_of, (self.dataset, self.scenes, self._scatter), new)
+        made = self._crew.map(_rows_of, (self.dataset, self.scenes, self.scatter), new)
         kept.update({id(fit): (fit, rows) for fit, rows in zip(new, made, strict=True)})
         return [kept[id(fit)][1] for fit in fits]
 
@@ -110,7 +112,7 @@ class Accounts:
         """Rows of every fit on every copy; all copies are scored together."""
         scenes = [scene for copy in self.copies for scene in copy]
         first = 0 if self.is_parametric else len(self.fits) - 1
-        made = self._crew.map(_rows_of, (self.dataset, scenes, self._scatter), self.fits[first:])
+        made = self._crew.map(_rows_of, (self.dataset, scenes, self.scatter), self.fits[first:])
         made = [[] for _ in range(first)] + made
         n = max(len(self.scenes), 1)
         return [[rows[k : k + n] for k in range(0, len(rows), n)] for rows in made]

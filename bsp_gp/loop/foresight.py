@@ -31,6 +31,12 @@ what is so little foreseen is not worth what it explains."""
 NO_BETTER = 0.95
 """Ratio of errors above which predictions are no better: a law beside which something is left is
 worth what it foresees."""
+HARDLY = 2.0
+"""Root mean square of what a cause changes of predictions, in noise of a row, below which what was
+held out hardly shows it."""
+KEPT, SURELY = 0.9, 5.0
+"""Part of its promise that a cause keeps for scenes which are left out in turn, and standard errors
+of that, by which it is foreseen."""
 MOST_INSTEAD = 6
 """Causes that are asked in the place of one that is refused."""
 INSTEAD = 0.5
@@ -162,9 +168,10 @@ class Foresight:
         is_worse = ratio > WORSE and _is_surely_worse(accounts(N_COPIES))
         if is_worse or _runs_away(plain):
             return True, False
-        if not NO_BETTER < ratio < 1.0:
-            return False, not ratio > NO_BETTER
-        return False, _is_better_in_noise(accounts(N_COPIES))
+        is_kept = last is done and _is_foreseen(done.decision.best) and _is_hardly_shown(plain)
+        if not ratio > NO_BETTER or is_kept:
+            return False, True
+        return False, ratio < 1.0 and _is_better_in_noise(accounts(N_COPIES))
 
 
 def _is_pull(row, proposal):
@@ -236,6 +243,26 @@ def _is_better_in_noise(accounts):
     floor, ratio = accounts.floor.rollout_rmse, accounts.ratio(0, 1)
     has_room = not math.isfinite(floor) or NO_BETTER * accounts.errors(0).rollout_rmse > floor
     return not has_room and ratio.high < 1.0
+
+
+def _is_foreseen(cause):
+    """Whether each scene that it was found in is foreseen by the others as well as was promised.
+
+    Where what was held out hardly shows it that is what predictions say of it: gliders that have
+    met before the last rows tell nothing there of how they meet.
+    """
+    gain, se, promised = (getattr(cause.held_out, name) for name in ("gain", "se", "promised"))
+    return gain > KEPT * promised > 0 and gain > SURELY * se
+
+
+def _is_hardly_shown(accounts):
+    """Whether what a cause changes of predictions is no more than the noise of held-out rows."""
+    apart = [
+        (after["foreseen"] - before["foreseen"])[after["n_initial"] :] / np.array(accounts.scatter)
+        for before, after in zip(*accounts.rows, strict=True)
+    ]
+    seen = np.concatenate([rows[np.isfinite(rows)] for rows in apart] or [np.zeros(0)])
+    return bool(len(seen)) and float(np.sqrt(np.mean(np.square(seen)))) < HARDLY
 
 
 def _that_help(rounds, helps, is_noise=False):
