@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.notes import listed
-from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK
 from bsp_gp.errors import in_python
 
@@ -36,7 +35,7 @@ def below_each_other(table):
         return table
     if table.frame["t"].dtype.kind not in "fiu":
         return table
-    times = numbers_of(table, "t")
+    times = table.numbers("t")
     starts = np.flatnonzero(np.diff(times) < 0) + 1
     parts = np.split(times, starts)
     if len(parts) < 2 or not all(_begins_as(part, times[0]) for part in parts):
@@ -48,7 +47,7 @@ def below_each_other(table):
         f"scenes part 1 to part {len(parts)}; if they are bodies of one recording, add a column "
         "entity that names them"
     )
-    return replace(table, frame=table.frame.assign(scene=names), notes=(*table.notes, note))
+    return table.assigned(scene=names).noted(note)
 
 
 def _begins_as(times, first):

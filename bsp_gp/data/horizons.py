@@ -13,7 +13,6 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK
 from bsp_gp.data.sky import is_sky
 from bsp_gp.errors import DataError, in_python
@@ -164,7 +163,7 @@ def without_header(table, declaration):
         units = {"t": "day", "ra": "deg", "dec": "deg", "distance": "au"}
         own = {name: units[name] for name in units if name in table.frame}
         note = "headings are those of astroquery: angles in degrees, distances in au"
-        return replace(table, units=own | table.units, notes=(*table.notes, note))
+        return replace(table, units=own | table.units).noted(note)
     if "x" not in table.frame:
         return table
     length, speed = _by_steps(table) if "vx" in table.frame else ("", "")
@@ -184,12 +183,12 @@ def without_header(table, declaration):
         f"{CHECK}the file does not say from which body places count: a pull of that body is one "
         "towards the origin; the whole output of Horizons, as it is, says which it is",
     )
-    return replace(table, units=known, notes=(*table.notes, *map(in_python, notes)))
+    return replace(table, units=known).noted(*map(in_python, notes))
 
 
 def _by_steps(table):
     """Units of places and velocities; "" where steps and velocities do not agree in any."""
-    times, place, speed = (numbers_of(table, name) for name in ("t", "x", "vx"))
+    times, place, speed = (table.numbers(name) for name in ("t", "x", "vx"))
     gone = np.diff(place) / np.diff(times)
     ratio = float(np.nanmedian(np.abs(gone)) / np.nanmedian(np.abs(speed)))
     if abs(ratio / _DAY - 1) < 0.5:

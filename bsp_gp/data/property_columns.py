@@ -4,10 +4,9 @@ A column is taken for one where its word and its unit agree and it does not chan
 what only may be one is named where a mass turns out to be needed.
 """
 
-import re
-from dataclasses import replace
 
 from bsp_gp.data.headings import property_of_words
+from bsp_gp.data.notes import quoted
 from bsp_gp.data.roster import WITHIN, tracks_of
 from bsp_gp.errors import in_python
 
@@ -41,11 +40,7 @@ def _renamed(table, column, name):
         f"{theirs!r} is taken for the {name} of the bodies; if it is not that: --columns "
         f"{quoted(theirs)}=ignore"
     )
-    return replace(
-        table, frame=table.frame.rename(columns={column: name}), notes=(*table.notes, note),
-        units={name if c == column else c: unit for c, unit in table.units.items()},
-        unused={name if c == column else c: old for c, old in table.unused.items()},
-    )  # fmt: skip
+    return table.called({column: name}).noted(note)
 
 
 def _is_constant(frame, column):
@@ -65,8 +60,3 @@ def unread_masses(table):
         f"the column {found[0]!r}, which is not used, looks like one: --columns "
         f"mass={quoted(found[0])} --units mass=g (or kg)"
     )
-
-
-def quoted(name):
-    """A name of a column as an option takes it."""
-    return name if re.fullmatch(r"\w+", name) else f'"{name}"'

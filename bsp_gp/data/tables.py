@@ -34,7 +34,7 @@ from bsp_gp.data.dates import since_1970
 from bsp_gp.data.declaration import Declaration, read_declaration, select_scenes
 from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.folder import ENTITIES, TOML, TRAJECTORIES, save_dataset
-from bsp_gp.data.formats import Table, long_table, read_table
+from bsp_gp.data.formats import long_table, read_table
 from bsp_gp.data.headings import (
     bodies_beside,
     headings,
@@ -46,11 +46,12 @@ from bsp_gp.data.headings import (
 from bsp_gp.data.horizons import without_header
 from bsp_gp.data.logged import named_of
 from bsp_gp.data.meeting import without_meetings
+from bsp_gp.data.notes import quoted
 from bsp_gp.data.on_maps import from_maps
 from bsp_gp.data.polar import POLAR_ALIASES, from_polar
 from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.properties import LEFT_OUT, read_properties, with_properties
-from bsp_gp.data.property_columns import quoted, unread_masses, with_properties_by_words
+from bsp_gp.data.property_columns import unread_masses, with_properties_by_words
 from bsp_gp.data.rates import from_rates
 from bsp_gp.data.records import told_of_record
 from bsp_gp.data.roster import OWN_COLUMNS, Roster, read_roster, roster_within
@@ -60,6 +61,7 @@ from bsp_gp.data.sight import instead_of_places, with_zeros_apart
 from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_named_dates, with_primary
 from bsp_gp.data.still import held_still
+from bsp_gp.data.table import Table, less
 from bsp_gp.data.trk import read_trk
 from bsp_gp.data.twice import (
     by_date,
@@ -521,7 +523,7 @@ def _left_out_bodies(table, inputs):
     if not found:
         return []
     columns = [column for axes in found.values() for column in axes.values()][:MAX_COLUMNS]
-    own = {axis: table.theirs.get(axis, axis) for axis in "xyz" if axis in table.frame.columns}
+    own = {axis: table.heading(axis) for axis in table.axes}
     sides = {"ONE": own, "OTHER": next(iter(found.values()))}
     options = " ".join(f"{body}_{axis}={quoted(column)}" for body, axes in sides.items()
                        for axis, column in sorted(axes.items()))  # fmt: skip
@@ -578,18 +580,17 @@ def _since_1970(table, units):
     """Unix times, whatever they count, in seconds since the first."""
     if "t" not in table.frame.columns or table.is_dated:
         return table
-    if not pd.api.types.is_numeric_dtype(table.frame["t"]):
+    if not table.is_numeric("t"):
         return table
     said = units.get("t", units.get("time", table.units.get("t", "")))
     found = since_1970(table.frame["t"].to_numpy(dtype=float), said)
     if found is None:
         return table
     times, unit = found
-    notes = (*table.notes, f"times count {unit} since 1970: they are in seconds since the first")
-    return dataclasses.replace(
-        table, frame=table.frame.assign(t=times), units={**table.units, "t": "s"}, notes=notes,
-        is_dated=True,
-    )  # fmt: skip
+    table = dataclasses.replace(
+        table.assigned(t=times), units={**table.units, "t": "s"}, is_dated=True
+    )
+    return table.noted(f"times count {unit} since 1970: they are in seconds since the first")
 
 
 def _dates_as_declared(table, units):
@@ -618,9 +619,9 @@ def _with_angles(table, declaration):
     known = {*declaration.units, *table.units}
     if not own and is_angle_name(theirs) and not known & {"x", "length"}:
         clock = "" if known & {"t", "time"} else " t=s"
-        raise DataError(
-            f"{theirs!r} is an angle in an unknown unit", file=table.file, column=theirs,
-            remedy=f"declare it: --units {quoted(theirs)}=rad{clock}, or {quoted(theirs)}=deg, or "
+        table.fail(
+            f"{theirs!r} is an angle in an unknown unit", theirs,
+            f"declare it: --units {quoted(theirs)}=rad{clock}, or {quoted(theirs)}=deg, or "
             f"of counts of an encoder what one is, {quoted(theirs)}=rev/4000",
         )  # fmt: skip
     if not own or "x" not in table.frame:
@@ -630,8 +631,8 @@ def _with_angles(table, declaration):
             f"angles must be in one unit, got {own}", file=declaration.file or table.file,
             column=list(own)[1], remedy="convert one of the columns",
         )  # fmt: skip
-    rest = {name: unit for name, unit in declaration.units.items() if name not in own}
-    return dataclasses.replace(declaration, units={**rest, "length": next(iter(own.values()))})
+    units = less(declaration.units, own) | {"length": next(iter(own.values()))}
+    return dataclasses.replace(declaration, units=units)
 
 
 def _names_angles(table, name):
