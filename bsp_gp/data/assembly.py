@@ -89,6 +89,27 @@ class Rows:
         line = int(self.lines[row])
         raise DataError(problem, file=self.file, row=line, column=column, remedy=remedy)
 
+    @property
+    def tracks(self):
+        """Of every row a number for its entity in its scene, shape (n,)."""
+        return self.scene * len(self.entity_names) + self.entity
+
+    def noted(self, *notes):
+        """The same with more notes; empty ones are none."""
+        return replace(self, notes=(*self.notes, *filter(None, notes)))
+
+    def taken(self, chosen):
+        """Some of the rows, by their numbers."""
+        names = ("scene", "entity", "times", "lines", "positions", "velocities", "sigma")
+        own = {name: getattr(self, name) for name in names}
+        return replace(
+            self, **{name: values[chosen] for name, values in own.items() if values is not None},
+            inputs={name: (values[chosen], unit) for name, (values, unit) in self.inputs.items()},
+            first=self.first and tuple(values[chosen] for values in self.first),
+            logged={name: (text, values[chosen], unit)
+                    for name, (text, values, unit) in self.logged.items()},
+        )  # fmt: skip
+
     def label(self, row):
         """Words for the scene and entity of one row."""
         scene, entity = self.scene_names[self.scene[row]], self.entity_names[self.entity[row]]
@@ -487,7 +508,7 @@ _BELOW = (
 
 def _check_order(rows):
     """Times of one entity must increase; returns the smallest step of every scene."""
-    key = rows.scene * len(rows.entity_names) + rows.entity
+    key = rows.tracks
     order = np.argsort(key, kind="stable")
     steps = np.diff(rows.times[order])
     same = np.diff(key[order]) == 0

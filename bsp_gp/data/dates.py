@@ -2,10 +2,16 @@
 
 import re
 import time
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
+from bsp_gp.errors import UnitError
+from bsp_gp.units import Unit, parse_unit
+
+_IN_SECONDS = "times are in seconds since"
+"""What a note of dates says, where no other unit is declared."""
 _FORMATS = (
     (re.compile(r"\d{4}-\d\d(-\d\d.*)?"), "ISO8601"),
     (re.compile(r"\d{4}/\d\d/\d\d"), "%Y/%m/%d"),
@@ -131,3 +137,36 @@ def _spread(is_known, values):
     out = np.full(len(is_known), np.nan)
     out[is_known] = values
     return out
+
+
+def with_unix_times(table, units):
+    """Unix times, whatever they count, in seconds since the first."""
+    if "t" not in table or table.is_dated:
+        return table
+    if not table.is_numeric("t"):
+        return table
+    said = units.get("t", units.get("time", table.units.get("t", "")))
+    found = since_1970(table.frame["t"].to_numpy(dtype=float), said)
+    if found is None:
+        return table
+    times, unit = found
+    table = replace(
+        table.assigned(t=times), units={**table.units, "t": "s"}, is_dated=True
+    )
+    return table.noted(f"times count {unit} since 1970: they are in seconds since the first")
+
+
+def as_declared(table, units):
+    """Times that were dates in the unit that is declared: they are in none of their own."""
+    text = units.get("t", units.get("time"))
+    if not table.is_dated or text is None:
+        return table
+    try:
+        scale, unit = parse_unit(text)
+    except UnitError:  # told where all units are read
+        return table
+    if unit != Unit.of(s=1):
+        return table
+    frame = table.frame.assign(t=table.frame["t"] / scale)
+    notes = tuple(note.replace(_IN_SECONDS, f"times are in {text} since") for note in table.notes)
+    return replace(table, frame=frame, units={**table.units, "t": text}, notes=notes)

@@ -1,5 +1,7 @@
 """Tables that give a distance and an angle in the place of x and y, as of double stars."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from bsp_gp.data.conversion import ratio_of
@@ -21,7 +23,7 @@ def is_polar(columns):
     return {"distance", "angle"} <= columns and not {"x", "y"} & columns
 
 
-def from_polar(table, units, *, start="x", sense="counter-clockwise"):
+def from_polar(table, declaration):
     """Put x and y in the place of a distance and an angle.
 
     An angle counts modulo a turn. Standard errors are carried over axis by axis; what they have in
@@ -29,19 +31,18 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
 
     Parameters
     ----------
-    units : mapping of str to str
-        ``[units]``; that of the angle must be there or in the header.
-    start : {"x", "y"}
-        Axis on which the angle is 0.
-    sense : {"counter-clockwise", "clockwise"}
-        Position angles, from north through east, run clockwise from y where x points to the east.
+    table : Table
+    declaration : Declaration
+        Its ``angle_from`` is the axis on which the angle is 0 (x), its ``angle_turns`` the sense in
+        which it counts (counter-clockwise). Position angles, from north through east, run clockwise
+        from y where x points to the east.
 
     Returns
     -------
     table : Table
         With columns x, y, and sx, sy where errors are given.
-    units : dict of str to str
-        Without those of what is gone.
+    declaration : Declaration
+        With units of these.
 
     Raises
     ------
@@ -50,19 +51,18 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
         is not, or an error of only one of the two.
     """
     if not is_polar(table.frame.columns):
-        return table, dict(units)
-    found = {**table.units, **units}
-    frame = table.frame
+        return table, declaration
+    found = {**table.units, **declaration.units}
     angle = table.numbers("angle") * _scale_of_angle(table, found, "angle")
     distance = table.numbers("distance")
     _check(table, distance < 0, "distance", "a distance must not be negative", distance)
     half = np.isnan(distance) != np.isnan(angle)
     _check(table, half, "angle", "a distance without an angle, or an angle without a distance")
-    angle = angle if sense == "counter-clockwise" else -angle
-    angle = angle if start == "x" else angle + np.pi / 2
+    angle = -angle if declaration.angle_turns == "clockwise" else angle
+    angle = angle + np.pi / 2 if declaration.angle_from == "y" else angle
     cosine, sine = np.cos(angle), np.sin(angle)
     new = {"x": distance * cosine, "y": distance * sine}
-    if {"sdistance", "sangle"} & set(frame.columns):
+    if {"sdistance", "sangle"} & set(table.columns):
         table.require(["sdistance", "sangle"])
         key = "sangle" if "sangle" in found else "angle"
         across = distance * table.numbers("sangle") * _scale_of_angle(table, found, key)
@@ -79,7 +79,8 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
     note = "distance and angle were read as x and y"
     note += ", with the errors of each axis by itself" if "sx" in new else ""
     made = table.instead(POLAR_COLUMNS, new, of_places(table.units)).noted(note)
-    return made, less(units, POLAR_COLUMNS) | of_places(units)
+    units = less(declaration.units, POLAR_COLUMNS) | of_places(declaration.units)
+    return made, replace(declaration, units=units)
 
 
 def _check(table, bad, column, problem, values=None):

@@ -40,34 +40,35 @@ def is_sky(columns):
     return {"ra", "dec"} <= columns and not {"x", "y"} & columns
 
 
-def from_sky(table, units, about=None):
+def from_sky(table, declaration):
     """Put offsets in the place of right ascension and declination, and lengths in that of angles.
 
     Parameters
     ----------
-    units : mapping of str to str
-        ``[units]``. Without ``ra`` and ``dec`` these are degrees, or sexagesimal (hours and
-        degrees); errors without ``sra`` and ``sdec`` are milliarcseconds, that of a right
-        ascension already times the cosine of the declination.
-    about : mapping of str to str, optional
-        ``[sky]``: ``distance = "8.2 kpc"`` or ``parallax = "379.2 mas"``.
+    table : Table
+    declaration : Declaration
+        Without units of ``ra`` and ``dec`` these are degrees, or sexagesimal (hours and degrees);
+        errors without units of ``sra`` and ``sdec`` are milliarcseconds, that of a right ascension
+        already times the cosine of the declination. Its ``sky`` may say how far it is:
+        ``distance = "8.2 kpc"`` or ``parallax = "379.2 mas"``.
 
     Returns
     -------
     table : Table
-    units : dict of str to str
+    declaration : Declaration
+        With units of the places.
 
     Raises
     ------
     DataError
         For a cell that is no angle, places too far apart for a plane, or a distance that is none.
     """
-    about, found = dict(about or {}), {**table.units, **units}
+    units = dict(declaration.units)
     if is_sky(table.frame.columns):
-        table = _without_idle_distance(table, units)
-        is_near = "distance" in table.frame
-        table, units = (_in_space if is_near else _offsets)(table, found, dict(units))
-    distance = _distance(about, table.file)
+        found = {**table.units, **units}
+        table = _without_idle_distance(table)
+        table, units = (_in_space if "distance" in table else _offsets)(table, found, units)
+    distance = _distance(declaration.sky, table.file)
     known = {**table.units, **units}
     places = [c for c in ("x", "y", "z", "sx", "sy", "sz") if c in table.frame.columns]
     lengths = {c: known.get(c, known.get("length", "")).strip() for c in places}
@@ -76,17 +77,18 @@ def from_sky(table, units, about=None):
         if distance is not None:
             table.fail("[sky] tells how far it is, but lengths are no angles", "length",
                        'write [units] length = "arcsec" (or mas)')  # fmt: skip
-        return table, dict(units)
+        return table, replace(declaration, units=units)
     au = parse_unit("au")[0]
     scales = {c: parse_unit(text)[0] * distance / au for c, text in lengths.items()}
     lengths = {c: table.numbers(c) * scale for c, scale in scales.items()}
     steps = {c: size * scales.get(c, 1.0) for c, size in table.steps.items()}
     note = f"angles are lengths at a distance of {distance / parse_unit('pc')[0]:.6g} pc, in au"
     table = replace(table.assigned(**lengths), units=less(table.units, lengths), steps=steps)
-    return table.noted(note), less(units, lengths) | {"length": "au"}
+    units = less(units, lengths) | {"length": "au"}
+    return table.noted(note), replace(declaration, units=units)
 
 
-def _without_idle_distance(table, units):
+def _without_idle_distance(table):
     """The table without a distance that is the same in all rows, or has no say beside errors."""
     if "distance" not in table.frame:
         return table
