@@ -27,7 +27,7 @@ _ENTRY = re.compile(r"\b(V?[XYZ])\s*=\s*([-+]?\d\.\d+E[-+]\d+)")
 
 
 def plain_horizons(text, path):
-    """A table with units, the body and the one from which places count, and a note of that.
+    """Rows with units, the body and the one from which places count, and a note of that.
 
     What is none of Horizons' stays as it is.
 
@@ -72,12 +72,11 @@ def plain_horizons(text, path):
     centre = _centre("\n".join(above)) if "JDTDB" in header else _SUN * ("x (au)" in made)
     if centre and centre != name:
         table += [[centre, row[0], *["0"] * (len(made) - 1)] for row in cells]
-    text = "\n".join("\t".join(row) for row in table) + "\n"
     notes = (f"places count from {centre}, which is at rest at the origin",) * bool(centre)
     if "ra" in made and len(made) > len(("t", "ra", "dec")):
         seen_from = re.search(_CENTRE_NAME, "\n".join(above))
         notes += (f"places are those that are seen from {seen_from[1]}",) if seen_from else ()
-    return text, notes
+    return table, notes
 
 
 _SUN = "Sun"
