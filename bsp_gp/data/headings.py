@@ -8,6 +8,7 @@ belongs to (``Run 1: Time (s)``, ``Time (s) Run #2``) and the body (``star1_x``,
 import re
 import unicodedata
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from bsp_gp.data.conversion import is_unit, unit_of
 from bsp_gp.data.polar import POLAR_ALIASES, POLAR_COLUMNS, is_polar
@@ -406,9 +407,11 @@ def is_count(text):
     return (words_of(text) - {""}) <= _COUNT_WORDS | _ROW_WORDS
 
 
+@lru_cache(maxsize=1 << 14)  # a wide table is asked about its headings again and again
 def words_of(text):
-    """The words of a heading, folded, a set of str."""
-    return {word.rstrip(".") for word in re.split(r"[\s_\-()\[\]/]+", folded(apart(text)))}
+    """The words of a heading, folded, a frozenset of str."""
+    words = re.split(r"[\s_\-()\[\]/]+", folded(apart(text)))
+    return frozenset(word.rstrip(".") for word in words)
 
 
 def has_place(found):
@@ -651,6 +654,7 @@ def _split_unit(cell, back, is_track):
     return (glued[1] or glued[3], glued[2] or glued[4]) if glued else (cell, "")
 
 
+@lru_cache(maxsize=1 << 12)
 def _our_name(name):
     """Our name of a column that people call ``Time``, ``Zeit t``, ``x-position`` or ``v_x``."""
     lower = name.lower()
@@ -673,6 +677,7 @@ def _our_name(name):
     return (ALIASES[lower], WORD) if lower in ALIASES else (name, UNKNOWN)
 
 
+@lru_cache(maxsize=1 << 12)
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
     name = _FROM_WHERE.sub("", _last_of(name))

@@ -3,6 +3,7 @@
 import re
 import tomllib
 import unicodedata
+from functools import lru_cache
 from importlib.resources import files
 
 _WIDE = str.maketrans("（）［］／：，＃　", "()[]/:,# ")
@@ -15,6 +16,7 @@ _BORDER = re.compile(
 _LETTERS = ("LATIN", "GREEK", "CYRILLIC")
 
 
+@lru_cache(maxsize=1 << 14)  # a wide table is asked about its headings again and again
 def folded(text):
     """A text in lower case without the accents of its letters, as long as it was."""
     return "".join(map(_plain, unicodedata.normalize("NFC", text)))
