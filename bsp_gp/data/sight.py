@@ -24,9 +24,10 @@ from bsp_gp.data.notes import quoted
 from bsp_gp.data.polar import POLAR_ALIASES
 from bsp_gp.data.polar_words import is_julian
 from bsp_gp.data.scene import CHECK, SIGHT
-from bsp_gp.data.sniffing import MOST_INSTRUMENTS, MOST_SHOWN
+from bsp_gp.data.sniffing import MOST_SHOWN
 from bsp_gp.data.stars import with_date_unit
 from bsp_gp.data.table import less
+from bsp_gp.data.unnamed import MOST_INSTRUMENTS
 from bsp_gp.errors import in_python
 from bsp_gp.units import is_speed
 
