@@ -21,7 +21,8 @@ from bsp_gp.data.headings import (
 )
 from bsp_gp.data.logged import logged_columns
 from bsp_gp.data.notes import quoted
-from bsp_gp.data.roster import ABSURD, WITHIN, vector_stems
+from bsp_gp.data.property_columns import WITHIN
+from bsp_gp.data.roster import ABSURD, vector_stems
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, SUMS, Entity, FirstState, Scene
 from bsp_gp.data.steps import LEAST_ROUNDED, LEAST_TIES
 from bsp_gp.data.table import GAP

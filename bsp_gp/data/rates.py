@@ -24,7 +24,7 @@ from bsp_gp.data.notes import quoted
 from bsp_gp.data.scene import CHECK, SUMS
 from bsp_gp.data.sight import along_sight, sighted
 from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, has_swing, summed
-from bsp_gp.data.table import less
+from bsp_gp.data.table import PLACES, less
 from bsp_gp.data.words import apart, words_for
 from bsp_gp.errors import in_python
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
@@ -42,7 +42,6 @@ _SENSORS = {
 _OF_SENSORS = frozenset("total linear uncalibrated raw data sensor log".split())
 _OF_PHONES = "seconds_elapsed"
 """A column that only loggers of telephones write."""
-PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
 ALIKE, LEAST_ALIKE = 0.95, 10
 """Correlation of the steps of a column and of what a velocity foresees, and rows of it, from which
@@ -70,7 +69,7 @@ def from_rates(table, declaration):
     table = _by_its_file(table, declaration)
     columns = set(map(str, table.frame.columns))
     has_clock = "t" in columns or "frame" in columns
-    if not has_clock or (columns & PLACES and not _misnamed(table, declaration)):
+    if not has_clock or (columns & {*PLACES} and not _misnamed(table, declaration)):
         return table, declaration
     if "t" not in columns and not (declaration.fps or declaration.dt):
         return table, declaration  # the clock is asked for
@@ -222,7 +221,7 @@ def _with_errors(table, found):
 
 def _misnamed(table, declaration):
     """Axis -> unit of columns x, y, z where all have units of a sensor's: no places of a body."""
-    if "length" in declaration.units or PLACES.difference("xyz") & set(table.frame.columns):
+    if "length" in declaration.units or ({*PLACES} - {*"xyz"}) & {*table.columns}:
         return {}
     units = _units_of(table, declaration, table.axes)
     same = {unit_of(unit) if _is_rate(unit) else None for unit in units.values()}

@@ -43,9 +43,9 @@ from bsp_gp.data.named_units import (
 from bsp_gp.data.on_maps import from_maps
 from bsp_gp.data.polar import from_polar
 from bsp_gp.data.properties import read_properties
-from bsp_gp.data.property_columns import unread_masses, with_properties_by_words
+from bsp_gp.data.property_columns import roster_within, unread_masses
 from bsp_gp.data.rates import from_rates
-from bsp_gp.data.roster import OWN_COLUMNS, read_roster, roster_within
+from bsp_gp.data.roster import OWN_COLUMNS, read_roster
 from bsp_gp.data.scene import PROPERTY_UNITS, SIGHT, Dataset
 from bsp_gp.data.sight import instead_of_places, with_zeros_apart
 from bsp_gp.data.sky import from_sky
@@ -67,8 +67,7 @@ from bsp_gp.errors import DataError
 def assemble(table, roster, declaration, default_name):
     """Table and roster (a Table, a ready Roster, or None) to a Dataset."""
     if roster is None:
-        table = with_properties_by_words(below_each_other(table), declaration.units)
-        roster, table = roster_within(table, declaration.units)
+        roster, table = roster_within(below_each_other(table), declaration.units)
     require_renames(declaration, [t for t in (table, roster) if isinstance(t, Table)])
     table, declaration, input_notes, is_star = _with_places(table, declaration)
     tables = [t for t in (table, roster) if isinstance(t, Table)]

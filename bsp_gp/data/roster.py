@@ -2,17 +2,14 @@
 
 import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 
 from bsp_gp.data.scene import PROPERTY_UNITS, SHAPES, Entity
-from bsp_gp.data.table import less
 
 OWN_COLUMNS = ("entity", "scene", "shape", "radius", "width", "height", "dynamic")
-WITHIN = ("mass", "charge")
-"""Properties that a table of tracks may say itself, where it says their unit."""
 ABSURD = 1e150
 STATE_NAMES = {"p": "position", "v": "velocity", "s": "shape"}
 """What laws call so; a property of that name could not be told from it."""
@@ -42,61 +39,6 @@ class Roster:
         """Index into `entities`, or None if the file does not have the entity there."""
         found = self.rows.get((scene, name))
         return self.rows.get((None, name)) if found is None else found
-
-
-def tracks_of(frame, column):
-    """A column track by track."""
-    keys = [name for name in ("scene", "entity") if name in frame.columns]
-    if not keys:
-        return [frame[column]]
-    return [part for _, part in frame.groupby(keys, sort=False)[column]]
-
-
-def roster_within(table, units):
-    """The bodies of a table of tracks that says itself what their masses are.
-
-    Parameters
-    ----------
-    units : mapping of str to str
-        That are declared.
-
-    Returns
-    -------
-    roster : Table or None
-        None where no column is a property of bodies.
-    table : Table
-        Without those columns.
-
-    Raises
-    ------
-    DataError
-        If a column whose unit is declared changes along a track.
-    """
-    frame, found = table.frame, []
-    keys = [name for name in ("scene", "entity") if name in frame.columns]
-    for column in (name for name in WITHIN if name in frame.columns):
-        if not {column} & {*units, *table.units}:
-            continue  # of trackpy a mass is a brightness
-        moved = [part for part in tracks_of(frame, column) if part.nunique(dropna=False) > 1]
-        if not moved:
-            found.append(column)
-        elif column in units:
-            line = moved[0].index[(moved[0] != moved[0].iloc[0]).to_numpy()][0]
-            table.fail(
-                f"{column} changes along a track", column,
-                "it is a property of a body; what changes is an input of laws and needs "
-                f"another name, such as {column}_now", row=frame.index.get_loc(line),
-            )  # fmt: skip
-    if not found:
-        return None, table
-    bodies = frame[[*keys, *found]].drop_duplicates(keys) if keys else frame[found].iloc[:1]
-    if "entity" not in keys:
-        bodies = bodies.assign(entity=table.title or "object")
-    roster = replace(
-        table, frame=bodies, units={c: u for c, u in table.units.items() if c in found}, notes=()
-    )
-    unused = less(table.unused, found)
-    return roster, replace(table, frame=frame.drop(columns=found), unused=unused)
 
 
 def read_roster(table, conversion, *, coded=()):

@@ -26,8 +26,8 @@ from bsp_gp.data.polar_words import is_julian
 from bsp_gp.data.scene import CHECK, SIGHT
 from bsp_gp.data.sniffing import MOST_SHOWN
 from bsp_gp.data.stars import with_date_unit
-from bsp_gp.data.table import less
-from bsp_gp.data.unnamed import MOST_INSTRUMENTS
+from bsp_gp.data.table import PLACES, less
+from bsp_gp.data.unnamed import LEAST_DATE, MOST_INSTRUMENTS
 from bsp_gp.errors import in_python
 from bsp_gp.units import is_speed
 
@@ -35,9 +35,8 @@ FEWEST = 4
 """Rows of an instrument that tell more than its zero."""
 SIGHT_NAMES = ("rv", "srv")
 """How a caller names velocities along the line of sight, and their errors."""
-LEAST_DATE, UNEVEN = 1000.0, 3.0
-"""Days that Julian dates count from a later zero, at the least; upper quartile of the steps between
-nights, in their lower one, at the least."""
+UNEVEN = 3.0
+"""Upper quartile of the steps between nights, in their lower one, at the least."""
 SUREST = 0.1
 """Errors below which numbers without a unit are km/s: no spectrograph knows m/s so well."""
 _ERRORS = frozenset("errvel velerr svrad sigrv rverr errrv erv urv rvunc drv ccfnoise".split())
@@ -70,10 +69,6 @@ def sighted(table):
     return next(iter(found), "") or _of_nights(table, texts)
 
 
-_PLACES = ("x", "y", "z", "ra", "dec", "distance", "angle")
-"""Columns of places, of which those of errors have an s before them."""
-
-
 def instead_of_places(table, declaration):
     """The table with velocities along the line of sight alone, where the caller names them.
 
@@ -85,9 +80,9 @@ def instead_of_places(table, declaration):
     DataError
         Where the caller names places as well.
     """
-    beside = [f"{s}{name}" for name in _PLACES for s in ("", "s") if f"{s}{name}" in table]
+    beside = [f"{s}{name}" for name in PLACES for s in ("", "s") if f"{s}{name}" in table]
     if SIGHT_NAMES[0] not in declaration.columns:
-        return _told_of_velocities(table, [name for name in beside if name in _PLACES])
+        return _told_of_velocities(table, [name for name in beside if name in PLACES])
     if SIGHT_NAMES[0] not in table.frame or not beside:
         return table
     theirs = {name: table.heading(name) for name in beside}

@@ -138,11 +138,8 @@ def _printed(table, found, **columns):
     Places in a plane or in space, which are made of them, are on no grid. Of what is sexagesimal
     the last digit tells it.
     """
-    keys = [name for name in ("scene", "entity") if name in table.frame]
-    n = len(table.frame)
-    owners = table.frame.groupby(keys, sort=False).indices.values() if keys else [np.arange(n)]
     steps = grid_steps([
-        [(own[known], values[own][known]) for own in owners
+        [(own[known], values[own][known]) for own in table.tracks.values()
          if (known := np.isfinite(values[own])).any()] for values in columns.values()
     ])  # fmt: skip
     for k, name in enumerate(columns):

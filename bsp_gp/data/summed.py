@@ -181,10 +181,7 @@ def _weight_at_rest(times, shown, parts):
 def _pieces(table, times, values, rates):
     """Rows of the pieces of every track, by the track's name; lines far off, and at one time."""
     one, _ = WHAT[rates.velocity]
-    keys = [name for name in ("scene", "entity") if name in table.frame]
-    groups = table.frame.groupby(keys, sort=False, dropna=False).indices if keys else {
-        "": np.arange(len(times))
-    }  # fmt: skip
+    groups = table.tracks
     far, twice, good = [], [], np.isfinite(values).all(axis=1)
     for rows in groups.values():
         rows = rows[good[rows]]

@@ -16,6 +16,8 @@ from bsp_gp.units import Unit
 
 GAP = "leave the whole row out to mark a gap in the track"
 """What to do about a cell that has no number."""
+PLACES = ("x", "y", "z", "ra", "dec", "distance", "angle")
+"""Columns that say where something is; those of errors have an s before them."""
 _IN_BRACKETS = re.compile(r"(.*?)\s*[(\[]([^()\[\]]+)[)\]]\s*")
 _LENGTH = Unit.of(m=1)
 
@@ -80,6 +82,22 @@ class Table:
     def axes(self):
         """Those of x, y and z that it has."""
         return [axis for axis in "xyz" if axis in self.frame]
+
+    @property
+    def owners(self):
+        """Names of its columns that tell tracks apart."""
+        return [name for name in ("scene", "entity") if name in self.frame]
+
+    @property
+    def tracks(self):
+        """Numbers of the rows of each track, by its name, a dict."""
+        if not self.owners:
+            return {"": np.arange(len(self.frame))}
+        return self.frame.groupby(self.owners, sort=False, dropna=False).indices
+
+    def track_by_track(self, column):
+        """The cells of a column in each track."""
+        return [self.frame[column].iloc[rows] for rows in self.tracks.values()]
 
     def heading(self, column):
         """What the file calls a column."""
