@@ -5,9 +5,10 @@ import re
 from dataclasses import replace
 
 from bsp_gp.data.headings import is_angle_name
+from bsp_gp.data.words import words_for
 from bsp_gp.units import ANGLES
 
-_TURNS = frozenset("rev revs revolution revolutions turn turns tour tours umdrehung giro".split())
+_TURNS = words_for("whole_turn")
 _NUMBER = r"((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)"
 _COUNT = re.compile(rf"(?:{_NUMBER}\s*)?([^\W\d_]+|°)\s*(?:/\s*{_NUMBER})?")
 """``0.09 deg``, ``rev/4000``, ``2 rev / 8192``."""

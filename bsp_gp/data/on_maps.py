@@ -11,13 +11,14 @@ from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.scene import CHECK
 from bsp_gp.data.sky import is_sky
 from bsp_gp.data.table import GAP, less
+from bsp_gp.data.words import words_for
 from bsp_gp.units import parse_unit
 
-_LATITUDE = frozenset("lat latitude breite breitengrad latitud latitudine".split())
-_LONGITUDE = frozenset("lon lng long longitude länge längengrad longitud longitudine".split())
-_HEIGHT = frozenset("altitude alt height elevation ele hmsl msl höhe hoehe altitud altezza".split())
-_WAYS = frozenset("distance dist strecke weg distancia distanza".split())
-_WITH = frozenset("gps gnss deg degrees ° wgs84 m ft meters metres data fix".split())
+_LATITUDE = words_for("latitude")
+_LONGITUDE = words_for("longitude")
+_HEIGHT = words_for("height_on_maps")
+_WAYS = words_for("way")
+_WITH = words_for("with_latitude")
 EQUATOR, FLATTENING = 6_378_137.0, 1 / 298.257223563
 """Radius of the equator, m, and flattening of the ellipsoid of WGS 84."""
 

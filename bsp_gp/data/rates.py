@@ -32,14 +32,14 @@ from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
 _OF_TURNS = re.compile(r"rad|deg|°|rpm|[^\W\d]+/(?:min|мин)")
 """A rate is one of turns in these units; another may be anything."""
-_WHOLE = frozenset("absolute absolut abs magnitude betrag total norm tgf".split())
+_WHOLE = words_for("whole")
 _SENSORS = {
     "m/s^2": frozenset("accelerometer acceleration".split()),
     "rad/s": frozenset("gyroscope gyro gyroskop".split()),
     "": frozenset("gravity magnetometer magnetic".split()),
 }
 """Unit of what the x, y and z of a telephone's sensor are, and words by which it calls the file."""
-_OF_SENSORS = frozenset("total linear uncalibrated raw data sensor log".split())
+_OF_SENSORS = words_for("of_sensors")
 _OF_PHONES = "seconds_elapsed"
 """A column that only loggers of telephones write."""
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())

@@ -28,6 +28,7 @@ from bsp_gp.data.sniffing import MOST_SHOWN
 from bsp_gp.data.stars import with_date_unit
 from bsp_gp.data.table import PLACES, less
 from bsp_gp.data.unnamed import LEAST_DATE, MOST_INSTRUMENTS
+from bsp_gp.data.words import words_for
 from bsp_gp.errors import in_python
 from bsp_gp.units import is_speed
 
@@ -39,9 +40,8 @@ UNEVEN = 3.0
 """Upper quartile of the steps between nights, in their lower one, at the least."""
 SUREST = 0.1
 """Errors below which numbers without a unit are km/s: no spectrograph knows m/s so well."""
-_ERRORS = frozenset("errvel velerr svrad sigrv rverr errrv erv urv rvunc drv ccfnoise".split())
-_OF_SPECTRA = frozenset("drift bis biss bisector span contrast fwhm".split())
-"""Words of what is measured beside such a velocity, of the lines and of the spectrograph."""
+_ERRORS = words_for("error_of_radial")
+_OF_SPECTRA = words_for("spectrum")
 
 
 def sighted(table):

@@ -5,14 +5,13 @@ from bsp_gp.data.notes import quoted
 from bsp_gp.data.polar import POLAR_ALIASES
 from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.properties import LEFT_OUT
+from bsp_gp.data.words import words_for
 from bsp_gp.errors import DataError, in_python
 
 MOST_TOLD = 12
 """Columns whose meaning is told."""
-_DRIVES = frozenset("torque tau drehmoment force kraft thrust throttle pwm duty motor".split())
-"""Words of columns that say what drives a body."""
-_HEADINGS = frozenset("heading attitude yaw bow azimuth orientation kurs cap rumbo".split())
-"""Words of columns that say how a body is turned."""
+_DRIVES = words_for("drive")
+_HEADINGS = words_for("turned")
 
 
 def told_unused(table, inputs):

@@ -3,7 +3,7 @@
 import re
 import tomllib
 import unicodedata
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.resources import files
 
 _WIDE = str.maketrans("（）［］／：，＃　", "()[]/:,# ")
@@ -42,9 +42,11 @@ def word_set(text):
     return frozenset(folded(text).split())
 
 
+@cache
 def words_for(meaning):
     """All words of a meaning in ``words.toml``, folded."""
-    return word_set(" ".join(_WORDS[meaning].values()))
+    by_language = _WORDS.get(meaning) or {"": _WORDS["others"][meaning]}
+    return word_set(" ".join(by_language.values()))
 
 
 def n_known_words(text):
