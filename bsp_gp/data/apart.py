@@ -100,10 +100,8 @@ def recordings_apart(rows, roster, has_scenes):
     members = [np.flatnonzero(group_of == k) for k in range(n_groups)]
     names = tuple(_name([rows.entity_names[body] for body in group]) for group in members)
     what = "bodies" if n_groups == len(rows.entity_names) else "groups of bodies"
-    note = (
-        f"{n_groups} {what} that are never seen at the same time: {n_groups} scenes "
-        f"({listed(names, 4 * MAX_NAMES)})"
-    )
+    told = ", ".join(names[: 4 * MAX_NAMES]) + ", …" * (n_groups > 4 * MAX_NAMES)
+    note = f"{n_groups} {what} that are never seen at the same time: {n_groups} scenes ({told})"
     return replace(rows, scene=group_of[rows.entity], scene_names=names).noted(note)
 
 

@@ -15,14 +15,13 @@ from bsp_gp.data.conversion import is_unit, size_of, unit_of
 from bsp_gp.data.headings import (
     is_acceleration,
     is_doubt,
-    is_error_of,
     is_own_speed,
     is_rate,
     words_of,
 )
 from bsp_gp.data.notes import quoted
 from bsp_gp.data.scene import CHECK, SUMS
-from bsp_gp.data.sight import along_sight, sighted
+from bsp_gp.data.sight import along_sight, error_beside, sighted
 from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, has_swing, summed
 from bsp_gp.data.table import PLACES, less
 from bsp_gp.data.words import apart, words_for
@@ -204,18 +203,13 @@ def _with_errors(table, found):
     """The table with the error of its one velocity under our name, where one column says it."""
     (axis, own), *more = found.items()
     unit, heading = table.units.get(own, ""), table.unused.get(own, own)
-    errors = [
-        name for name, text in table.unused.items()
-        if name in table and is_error_of(text, heading)
-        and table.units.get(name, unit) == unit and table.is_numeric(name)
-    ]  # fmt: skip
-    if more or len(errors) != 1 or f"sv{axis}" in table:
+    error = error_beside(table, own, heading, unit)
+    if more or not error or f"sv{axis}" in table:
         return table
-    (error,) = errors
     note = f"{table.unused[error]!r} is taken as the error of the velocity"
     return replace(
         table, frame=table.frame.rename(columns={error: f"sv{axis}"}),
-        units=less(table.units, errors), unused=less(table.unused, errors),
+        units=less(table.units, [error]), unused=less(table.unused, [error]),
     ).noted(note)  # fmt: skip
 
 

@@ -117,7 +117,7 @@ def _told_of_velocities(table, places):
     n_placed = int(table.frame[places].notna().all(axis=1).sum())
     if seen.sum() <= n_placed:
         return table
-    error = _error_of(table, name, text, table.units.get(name, ""))
+    error = error_beside(table, name, text, table.units.get(name, ""))
     options = f"rv={quoted(text)}" + f" srv={quoted(table.unused[error])}" * (error in table.unused)
     note = in_python(
         f"{CHECK}{n_placed} row(s) with places are read, and {int(seen.sum())} with velocities "
@@ -179,7 +179,7 @@ def along_sight(table, declaration, column):
     unit = said.get(column, said.get("velocity", table.units.get(column, "")))
     notes = [f"{heading!r} is read as velocities along the line of sight: no places are known, and "
              "companions are sought in these"]  # fmt: skip
-    error = _error_of(table, column, heading, unit)
+    error = error_beside(table, column, heading, unit)
     if not unit:
         sure = np.nanmedian(table.frame[error]) if error else np.inf
         unit, other = ("m/s", "km/s") if sure >= SUREST else ("km/s", "m/s")
@@ -225,7 +225,7 @@ def _with_days(table, declaration):
     return replace(table, units={**table.units, "t": "day"}).noted(note)
 
 
-def _error_of(table, column, heading, unit):
+def error_beside(table, column, heading, unit):
     """The one column of numbers that says how sure each velocity is; "" where none does."""
     if SIGHT_NAMES[1] in table or "sx" in table:
         return SIGHT_NAMES[1] if SIGHT_NAMES[1] in table else ""

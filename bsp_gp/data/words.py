@@ -61,4 +61,7 @@ def unit_words():
 
 
 _WORDS = tomllib.loads(files(__package__).joinpath("words.toml").read_text(encoding="utf-8"))
-_KNOWN = frozenset().union(*map(words_for, _WORDS)) | {folded(word) for word in unit_words()}
+_KNOWN = frozenset().union(
+    *(words_for(meaning) for meaning in _WORDS if meaning != "others"),  # these have lone signs
+    map(folded, unit_words()),
+)
