@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.notes import listed
-from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK
 from bsp_gp.errors import in_python
 
@@ -36,7 +35,7 @@ def below_each_other(table):
         return table
     if table.frame["t"].dtype.kind not in "fiu":
         return table
-    times = numbers_of(table, "t")
+    times = table.numbers("t")
     starts = np.flatnonzero(np.diff(times) < 0) + 1
     parts = np.split(times, starts)
     if len(parts) < 2 or not all(_begins_as(part, times[0]) for part in parts):
@@ -48,7 +47,7 @@ def below_each_other(table):
         f"scenes part 1 to part {len(parts)}; if they are bodies of one recording, add a column "
         "entity that names them"
     )
-    return replace(table, frame=table.frame.assign(scene=names), notes=(*table.notes, note))
+    return table.assigned(scene=names).noted(note)
 
 
 def _begins_as(times, first):
@@ -60,25 +59,25 @@ def _begins_as(times, first):
 
 
 def may_be_below(rows):
-    """A check where a lone body is back at its beginning time and again, each time after a gap."""
+    """Rows with a check where a lone body is at its beginning again and again, after gaps."""
     if len(rows.entity_names) > 1 or len(rows.scene_names) > 1:
-        return ()
+        return rows
     order = np.argsort(rows.times, kind="stable")
     places, gaps = rows.positions[order], np.diff(rows.times[order])
     size = float(np.linalg.norm(np.ptp(places, axis=0)))
     if len(gaps) < LEAST_PART or not size > 0:
-        return ()
+        return rows
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     home = np.linalg.norm(places[1:] - places[0], axis=1) < NEAR_HOME * size
     is_back = home & (steps > LEAP * size) & (gaps > NEAR_START * np.median(gaps))
     if is_back.sum() < LEAST_BACK or np.quantile(steps, 0.9) > LEAP * size:
-        return ()
+        return rows
     lines = listed(rows.lines[order][1:][is_back].tolist(), 4 * MAX_NAMES)
-    return (in_python(
+    return rows.noted(in_python(
         f"{CHECK}after gaps the body is back where it began, in line {lines}: these may be "
         "recordings below each other; a column that tells them apart makes them scenes, "
         "--columns scene=COLUMN"
-    ),)  # fmt: skip
+    ))  # fmt: skip
 
 
 def recordings_apart(rows, roster, has_scenes):
@@ -93,18 +92,17 @@ def recordings_apart(rows, roster, has_scenes):
         Whether the table says which rows are one scene; then it is believed.
     """
     if has_scenes or len(rows.entity_names) < 2 or _has_own_scenes(roster):
-        return rows, ()
+        return rows
     group_of = _groups(rows)
     n_groups = int(group_of.max()) + 1
     if n_groups < 2:
-        return rows, ()
+        return rows
     members = [np.flatnonzero(group_of == k) for k in range(n_groups)]
     names = tuple(_name([rows.entity_names[body] for body in group]) for group in members)
-    listed = ", ".join(names[: 4 * MAX_NAMES])
-    listed += ", …" if n_groups > 4 * MAX_NAMES else ""
     what = "bodies" if n_groups == len(rows.entity_names) else "groups of bodies"
-    note = f"{n_groups} {what} that are never seen at the same time: {n_groups} scenes ({listed})"
-    return replace(rows, scene=group_of[rows.entity], scene_names=names), (note,)
+    told = ", ".join(names[: 4 * MAX_NAMES]) + ", …" * (n_groups > 4 * MAX_NAMES)
+    note = f"{n_groups} {what} that are never seen at the same time: {n_groups} scenes ({told})"
+    return replace(rows, scene=group_of[rows.entity], scene_names=names).noted(note)
 
 
 def _has_own_scenes(roster):

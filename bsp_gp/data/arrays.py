@@ -1,8 +1,5 @@
 """Arrays of MATLAB's .mat and NumPy's .npz files as plain tables: every vector is a column."""
 
-import csv
-import io
-
 import numpy as np
 
 from bsp_gp.data.conversion import is_unit
@@ -18,7 +15,7 @@ MOST_SIDE_BY_SIDE, MOST_BODIES = 12, 1000
 
 
 def as_table(path):
-    """The longest set of vectors of one length in a file as text with tabs, and notes.
+    """The longest set of vectors of one length in a file as rows, the header first, and notes.
 
     What is nested has the names of what it is in before it, and what Simulink logs with its time
     is a column of its own name. A matrix of as many rows is a column for each of its own, and an
@@ -30,13 +27,9 @@ def as_table(path):
         If the file cannot be read, or has no two vectors of one length.
     """
     table, others = longest(_variables(path), path)
-    out = io.StringIO()
-    writer = csv.writer(out, delimiter="\t", lineterminator="\n")
-    writer.writerow(table)
-    writer.writerows(zip(*(v.tolist() for v in table.values()), strict=True))
-    most = len(next(iter(table.values())))
-    note = f"of {path.name} vectors of {most:,} numbers are read, not {', '.join(others[:8])}"
-    return out.getvalue(), (note,) if others else ()
+    rows = [[*table], *zip(*(v.tolist() for v in table.values()), strict=True)]
+    note = f"of {path.name} vectors of {len(rows) - 1:,} numbers are read, not "
+    return rows, (note + ", ".join(others[:8]),) if others else ()
 
 
 def longest(variables, path):

@@ -20,18 +20,12 @@ from bsp_gp.data.headings import (
     numbered_places,
 )
 from bsp_gp.data.logged import logged_columns
-from bsp_gp.data.property_columns import quoted
-from bsp_gp.data.roster import (
-    ABSURD,
-    GAP,
-    WITHIN,
-    fail_at,
-    numbers_of,
-    require_columns,
-    vector_stems,
-)
+from bsp_gp.data.notes import quoted
+from bsp_gp.data.property_columns import WITHIN
+from bsp_gp.data.roster import ABSURD, vector_stems
 from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, SUMS, Entity, FirstState, Scene
 from bsp_gp.data.steps import LEAST_ROUNDED, LEAST_TIES
+from bsp_gp.data.table import GAP
 from bsp_gp.data.twice import MOST_SLIPS
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
@@ -96,6 +90,27 @@ class Rows:
         line = int(self.lines[row])
         raise DataError(problem, file=self.file, row=line, column=column, remedy=remedy)
 
+    @property
+    def tracks(self):
+        """Of every row a number for its entity in its scene, shape (n,)."""
+        return self.scene * len(self.entity_names) + self.entity
+
+    def noted(self, *notes):
+        """The same with more notes; empty ones are none."""
+        return replace(self, notes=(*self.notes, *filter(None, notes)))
+
+    def taken(self, chosen):
+        """Some of the rows, by their numbers."""
+        names = ("scene", "entity", "times", "lines", "positions", "velocities", "sigma")
+        own = {name: getattr(self, name) for name in names}
+        return replace(
+            self, **{name: values[chosen] for name, values in own.items() if values is not None},
+            inputs={name: (values[chosen], unit) for name, (values, unit) in self.inputs.items()},
+            first=self.first and tuple(values[chosen] for values in self.first),
+            logged={name: (text, values[chosen], unit)
+                    for name, (text, values, unit) in self.logged.items()},
+        )  # fmt: skip
+
     def label(self, row):
         """Words for the scene and entity of one row."""
         scene, entity = self.scene_names[self.scene[row]], self.entity_names[self.entity[row]]
@@ -114,12 +129,12 @@ def build_rows(table, declaration, conversion, *, scene_name):
     table, foot_notes = _without_timeless_ends(table)
     table, gap_notes = _without_gaps(table)
     _require_right_clock(table, axes)
-    known = [axis for axis in axes if axis in table.frame.columns]
+    known = table.axes
     still = np.zeros(len(table.frame))
     positions = [_numbers(table, a) * conversion.length(a) if a in known else still for a in axes]
     velocities = None
     if declaration.velocity == "measured":
-        require_columns(table, [f"v{axis}" for axis in known])
+        table.require([f"v{axis}" for axis in known])
         velocities = [
             _numbers(table, f"v{a}", can_be_blank=True) * conversion.velocity(f"v{a}")
             if a in known
@@ -157,13 +172,13 @@ def _first(table, declaration, conversion, axes):
         return (blank, blank) if declaration.first_position == "exact" else None
     if said == "rest":
         return np.zeros(shape), np.zeros(shape)
-    known = [axis for axis in axes if axis in table.frame.columns]
+    known = table.axes
     prefixes = ("v", "sv") if said == "measured" else ("v",)
     for prefix in prefixes:
-        if not all(f"{prefix}{axis}" in table.frame.columns for axis in known):
+        if not all(f"{prefix}{axis}" in table for axis in known):
             names = ", ".join(f"{prefix}{axis}" for axis in known)
-            raise DataError(
-                f'[initial] velocity = "{said}" needs the column(s) {names}', file=table.file,
+            table.fail(
+                f'[initial] velocity = "{said}" needs the column(s) {names}',
                 remedy="fill them in the first row of every scene"
                 + (' (standard errors of the velocities), or write "exact"' if prefix == "sv"
                    else ', or write velocity = "rest" for bodies that are let go'),
@@ -182,7 +197,7 @@ def _first(table, declaration, conversion, axes):
     elif (parts[1] <= 0).any():
         at = int((parts[1] <= 0).any(axis=1).argmax())
         problem = "a standard error of a velocity must be positive"
-        fail_at(table, problem, at, "svx", 'exact: velocity = "exact"')
+        table.fail(problem, "svx", 'exact: velocity = "exact"', row=at)
     return tuple(parts)
 
 
@@ -201,10 +216,9 @@ def _inputs(table, declaration, conversion):
     out = {}
     for name in [c for c in columns if c not in parts] + list(stems):
         if not re.fullmatch(r"[A-Za-z]\w*", name) or name[-2:] in ("_i", "_j"):
-            raise DataError(
-                f"the measured input {name!r} must be a name that laws can use",
-                file=table.file, column=name,
-                remedy="letters, digits and underscores, and no _i or _j at its end",
+            table.fail(
+                f"the measured input {name!r} must be a name that laws can use", name,
+                "letters, digits and underscores, and no _i or _j at its end",
             )  # fmt: skip
         columns = stems.get(name, (name,))
         values = [_numbers(table, column, can_be_blank=True) for column in columns]
@@ -224,7 +238,7 @@ def along_named_axis(table, declaration):
     declaration : Declaration
         ``uses`` has the names in laws.
     """
-    own = [axis for axis in "xyz" if axis in table.frame.columns]
+    own = table.axes
     named = [axis for axis in "xyz" if {f"{axis}_i", f"e_{axis}"} & set(declaration.uses)]
     if own == ["z"] and "z" not in named:
         table = replace(table, up="z")
@@ -237,20 +251,11 @@ def along_named_axis(table, declaration):
     is_said = {old, f"s{old}"} & said
     if is_said or f"v{old}" in table.frame or is_vertical:
         return table
-    place = table.theirs.get(old, old)
     told = f"laws name {new} alone, and " if declaration.uses else ""
-    note = f"{told}{place!r} is the only place: it is taken as {new}"
-
-    def renamed(values):
-        return {new if key == old else key: value for key, value in values.items()}
-
+    note = f"{told}{table.heading(old)!r} is the only place: it is taken as {new}"
     is_height = old == "z" and table.up == "z"
-
-    return replace(
-        table, frame=table.frame.rename(columns={old: new, f"s{old}": f"s{new}"}),
-        units=renamed(table.units), theirs=renamed({old: place, **table.theirs}),
-        up=new if is_height else None if table.up == old else table.up, notes=(*table.notes, note),
-    )  # fmt: skip
+    up = new if is_height else None if table.up == old else table.up
+    return replace(table.called({old: new, f"s{old}": f"s{new}"}), up=up).noted(note)
 
 
 def axes_of(table, declaration):
@@ -259,13 +264,12 @@ def axes_of(table, declaration):
     A table of x alone, or of y alone, is motion along a line; but a column that is not used and
     may be the other axis under another name is no reason to leave that axis out.
     """
-    columns = [str(column) for column in table.frame.columns]
-    axes = [axis for axis in "xyz" if axis in columns]
+    columns, axes = table.columns, table.axes
     _refuse_rates(table, declaration, axes)
     _require_clock(table, declaration)
     if axes not in (["x"], ["y"]):
         needed = ["x", "y"] if {"t", "frame"} & set(columns) else ["t", "x"]
-        require_columns(table, needed, numbered_places(table.present or columns))
+        table.require(needed, numbered_places(table.present or columns))
         return axes, ()
     other = "y" if axes == ["x"] else "x"
     angle = declaration.units.get("length", table.units.get(axes[0], ""))
@@ -281,12 +285,11 @@ def axes_of(table, declaration):
         names = list(map(quoted, theirs))
         ignored = " ".join(f"{name}=ignore" for name in names)
         present = ", ".join(dict.fromkeys(table.present or columns))
-        own = table.theirs.get(axes[0], axes[0])
+        own = table.heading(axes[0])
         along = axes[0] if own == axes[0] else repr(own)
-        raise DataError(
-            f"the header has no column {other!r}; present are {present}",
-            file=table.file, column=other,
-            remedy=f"if {theirs[0]!r} is that, --columns {other}={names[0]} (in dataset.toml under "
+        table.fail(
+            f"the header has no column {other!r}; present are {present}", other,
+            f"if {theirs[0]!r} is that, --columns {other}={names[0]} (in dataset.toml under "
             f"[columns]); if it drives the motion (a support, a thrust), its unit, --units "
             f"{names[0]}=UNIT, makes it an input of laws; if all motion is along {along}, "
             f"--columns {ignored}",
@@ -301,10 +304,8 @@ def _require_clock(table, declaration):
     """DataError where a table has no column of times and its rows are no frames of a known rate."""
     has_rate = declaration.fps is not None or declaration.dt is not None
     if table.untimed and not (has_rate and "frame" in table.frame.columns):
-        raise DataError(
-            f"there is no column 't'; present are {', '.join(table.present)}",
-            file=table.file, column="t", remedy=table.untimed,
-        )  # fmt: skip
+        table.fail(f"there is no column 't'; present are {', '.join(table.present)}", "t",
+                   table.untimed)  # fmt: skip
 
 
 EVEN = 0.1
@@ -317,32 +318,31 @@ def _require_right_clock(table, axes):
     Of columns without names, which are read in their order, one that increases over the whole file
     is one as well, however unevenly, where that of the times falls back anywhere.
     """
-    columns = set(map(str, table.frame.columns))
+    columns = set(table.columns)
     if "t" not in columns or {"scene", "entity"} & columns:
         return
-    times, is_bare = np.diff(numbers_of(table, "t")), table.theirs.get("t", "").isdecimal()
+    times, is_bare = np.diff(table.numbers("t")), table.theirs.get("t", "").isdecimal()
     if not len(times) or (times <= 0).mean() <= (0 if is_bare else MOST_SLIPS):
         return
     places = [axis for axis in axes if axis in columns]
     even = [axis for axis in places if _is_clock(table, axis)]
-    rising = [axis for axis in places if is_bare and (np.diff(numbers_of(table, axis)) > 0).all()]
+    rising = [axis for axis in places if is_bare and (np.diff(table.numbers(axis)) > 0).all()]
     if not even + rising:
         return
     clock = (even + rising)[0]
     order = [name for name in table.frame.columns if name in ("t", *axes) and name != clock]
     named = zip(("t", *"xyz"), (clock, *order), strict=False)
-    options = " ".join(f"{ours}={quoted(table.theirs.get(own, own))}" for ours, own in named)
-    theirs = [table.theirs.get(name, name) for name in ("t", clock)]
-    raise DataError(
-        f"times ({theirs[0]!r}) go back, and {theirs[1]!r} increases{' evenly' * bool(even)} from "
-        "row to row",
-        file=table.file, column="t", remedy=f"if that is the time, say so: --columns {options}",
+    options = " ".join(f"{ours}={quoted(table.heading(own))}" for ours, own in named)
+    table.fail(
+        f"times ({table.heading('t')!r}) go back, and {table.heading(clock)!r} increases"
+        f"{' evenly' * bool(even)} from row to row", "t",
+        f"if that is the time, say so: --columns {options}",
     )  # fmt: skip
 
 
 def _is_clock(table, column):
     """Whether a column increases by nearly the same from row to row."""
-    steps = np.diff(numbers_of(table, column))
+    steps = np.diff(table.numbers(column))
     return len(steps) >= LEAST_MARKED and bool((np.abs(steps - np.median(steps))
                                                 < EVEN * np.median(steps)).all())  # fmt: skip
 
@@ -356,7 +356,7 @@ _SENSED = re.compile(r"[gmw][xyz]")
 def _may_be_place(table, column, axis):
     """Whether a column that means nothing to us may be a coordinate: nothing else speaks of it."""
     cells, unit = table.frame[column], table.units.get(column, "")
-    is_number = pd.api.types.is_numeric_dtype(cells)
+    is_number = table.is_numeric(column)
     is_sensed = is_acceleration(column) or _SENSED.fullmatch(column.lower())
     if not is_number or cells.nunique() < 2 or is_error(column) or is_count(column) or is_sensed:
         return False
@@ -368,7 +368,7 @@ def _may_be_place(table, column, axis):
 
 def _refuse_rates(table, declaration, axes):
     """DataError where what stands in the place of positions is what a telephone's sensors give."""
-    theirs = {name: table.theirs.get(name, name) for name in map(str, table.frame.columns)}
+    theirs = {name: table.theirs.get(name, name) for name in table.columns}
     said = set(declaration.units)
     units = {} if "length" in said else {n: table.units.get(n, "") for n in set(theirs) - said}
     turns = re.compile(r"(?:rad|deg|°).*")  # a rate without an angle may be anything
@@ -381,9 +381,8 @@ def _refuse_rates(table, declaration, axes):
         found = [column for column in table.present if is_named(column)]
         found = found or [theirs[name] for name in theirs if name in of_unit]
         if found and (not axes or of_unit & set(axes)):
-            raise DataError(
+            table.fail(
                 f"the table has {what} ({', '.join(found[:3])}) and no positions",
-                file=table.file,
                 remedy=f'name one that is to be added up, --columns {letter}x="{found[0]}" (errors '
                 "add up as well: where you can, record the motion from outside, by a film, a "
                 "motion sensor, or of a telephone its distance (LiDAR, sonar) or location (GPS)); "
@@ -402,27 +401,26 @@ def _without_timeless_ends(table):
     is_within = (timed.min() <= lines) & (lines <= timed.max())
     if is_within.all():
         return table, ()
-    kept = table.frame[is_within]
-    count = len(table.frame) - len(kept)
+    count = len(is_within) - is_within.sum()
     note = f"{CHECK}{count} row(s) without a time at the ends of the table are left out"
-    return replace(table, frame=kept), (note,)
+    return table.of_rows(is_within), (note,)
 
 
 def _without_gaps(table):
     """The table without rows that have a time but no coordinate at all, and a note of them."""
-    axes = [axis for axis in "xyz" if axis in table.frame.columns]
+    axes = table.axes
     empty = table.frame[axes].isna().all(axis=1).to_numpy()
     unseen = _are_marked_unseen(table, axes)
     if not (empty | unseen).any():
         return table, ()
     if empty.all():
-        raise DataError("no row has any coordinates", file=table.file)
+        table.fail("no row has any coordinates")
     notes = [f"{int(empty.sum())} row(s) without coordinates are gaps in the track"]
     notes = notes if empty.any() else []
     if unseen.any():
         notes.append(f"{CHECK}{int(unseen.sum())} row(s) at {', '.join(['-1'] * len(axes))} where "
                      "nothing else is below 0 are gaps in the track")  # fmt: skip
-    return replace(table, frame=table.frame[~(empty | unseen)]), tuple(notes)
+    return table.of_rows(~(empty | unseen)), tuple(notes)
 
 
 def _are_marked_unseen(table, axes):
@@ -432,7 +430,7 @@ def _are_marked_unseen(table, axes):
     """
     cells = table.frame[axes]
     none = np.zeros(len(cells), dtype=bool)
-    if len(axes) < 2 or not all(pd.api.types.is_numeric_dtype(cells[axis]) for axis in axes):
+    if len(axes) < 2 or not all(map(table.is_numeric, axes)):
         return none
     unseen = (cells == -1).all(axis=1).to_numpy()
     rest = cells[~unseen]
@@ -441,7 +439,7 @@ def _are_marked_unseen(table, axes):
 
 
 def _numbers(table, column, can_be_blank=False):
-    values = numbers_of(table, column)
+    values = table.numbers(column)
     bad = np.isinf(values) | (np.abs(values) > ABSURD)
     if not can_be_blank:
         bad |= np.isnan(values)
@@ -451,25 +449,21 @@ def _numbers(table, column, can_be_blank=False):
     problem = f"{values[k]:g} is not a usable number (finite, at most {ABSURD:g} in size)"
     if np.isnan(values[k]):
         problem = "empty cell or NaN where a number is needed"
-    fail_at(table, problem, k, column, GAP)
+    table.fail(problem, column, GAP, row=k)
 
 
 def _times(table, declaration, conversion):
     if "t" in table.frame.columns:
         return _numbers(table, "t") * conversion.time()
     if "frame" not in table.frame.columns:
-        require_columns(table, ["t"])
+        table.require(["t"])
     frames = _numbers(table, "frame")
     if declaration.fps is not None:
         return frames / declaration.fps
     if declaration.dt is not None:
         return frames * (declaration.dt * conversion.time())
-    raise DataError(
-        "the file counts frames, but nothing says how long a frame is",
-        file=table.file,
-        column="frame",
-        remedy="give fps = 30 (or dt = 0.02) in dataset.toml or as an argument",
-    )
+    table.fail("the file counts frames, but nothing says how long a frame is", "frame",
+               "give fps = 30 (or dt = 0.02) in dataset.toml or as an argument")  # fmt: skip
 
 
 def _sigma(table, axes, conversion):
@@ -484,7 +478,7 @@ def _sigma(table, axes, conversion):
         values = _numbers(table, column, can_be_blank=True) * conversion.length(column)
         if (values < 0).any():
             k = int((values < 0).argmax())
-            fail_at(table, f"a standard error must not be negative, got {values[k]:g}", k, column)
+            table.fail(f"a standard error must not be negative, got {values[k]:g}", column, row=k)
         columns.append(values)
     return np.stack(columns, axis=1)
 
@@ -499,7 +493,7 @@ def _codes(table, column, default):
     if "" in names:
         blank |= codes == names.index("")
     if blank.any():
-        fail_at(table, "empty cell where a name is needed", int(blank.argmax()), column)
+        table.fail("empty cell where a name is needed", column, row=int(blank.argmax()))
     unique = tuple(dict.fromkeys(names))
     if len(unique) < len(names):
         place = {name: k for k, name in enumerate(unique)}
@@ -515,7 +509,7 @@ _BELOW = (
 
 def _check_order(rows):
     """Times of one entity must increase; returns the smallest step of every scene."""
-    key = rows.scene * len(rows.entity_names) + rows.entity
+    key = rows.tracks
     order = np.argsort(key, kind="stable")
     steps = np.diff(rows.times[order])
     same = np.diff(key[order]) == 0

@@ -93,7 +93,7 @@ def check_declared_rate(rows, declaration, second):
 
 def _gaps_of_scenes(rows):
     """Steps of time between successive rows of an entity, by scene code."""
-    key = rows.scene * len(rows.entity_names) + rows.entity
+    key = rows.tracks
     order = np.argsort(key, kind="stable")
     same = np.diff(key[order]) == 0
     gaps, scene = np.diff(rows.times[order])[same], rows.scene[order[1:]][same]

@@ -2,6 +2,7 @@
 
 import re
 import tokenize
+from functools import lru_cache
 
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.data.words import unit_words
@@ -41,6 +42,7 @@ def is_unit(text):
     return unit_of(text) is not None
 
 
+@lru_cache(maxsize=1 << 12)
 def unit_of(text):
     """The unit that `text` stands for (that of metres for ``px``); None if it is no unit."""
     try:

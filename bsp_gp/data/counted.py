@@ -5,10 +5,10 @@ import re
 from dataclasses import replace
 
 from bsp_gp.data.headings import is_angle_name
-from bsp_gp.data.roster import numbers_of
+from bsp_gp.data.words import words_for
 from bsp_gp.units import ANGLES
 
-_TURNS = frozenset("rev revs revolution revolutions turn turns tour tours umdrehung giro".split())
+_TURNS = words_for("whole_turn")
 _NUMBER = r"((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)"
 _COUNT = re.compile(rf"(?:{_NUMBER}\s*)?([^\W\d_]+|°)\s*(?:/\s*{_NUMBER})?")
 """``0.09 deg``, ``rev/4000``, ``2 rev / 8192``."""
@@ -45,11 +45,9 @@ def with_counted_angles(table, declaration):
         if count is None or column not in frame or (column == "x" and not is_flat):
             continue
         own = [c for c in (column, f"s{column}") if c in frame]
-        frame = frame.assign(**{c: count[0] * numbers_of(table, c) for c in own})
+        frame = frame.assign(**{c: count[0] * table.numbers(c) for c in own})
         units[name] = count[1]
-        theirs = table.theirs.get(column, column)
-        notes.append(f"{theirs!r} counts {text}: it is read in {count[1]}")
+        notes.append(f"{table.heading(column)!r} counts {text}: it is read in {count[1]}")
     if not notes:
         return table, declaration
-    table = replace(table, frame=frame, notes=(*table.notes, *notes))
-    return table, replace(declaration, units=units)
+    return replace(table, frame=frame).noted(*notes), replace(declaration, units=units)

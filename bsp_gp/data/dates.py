@@ -2,34 +2,37 @@
 
 import re
 import time
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-_FORMATS = (
-    (re.compile(r"\d{4}-\d\d(-\d\d.*)?"), "ISO8601"),
-    (re.compile(r"\d{4}/\d\d/\d\d"), "%Y/%m/%d"),
-    (re.compile(r"\d{4}/\d\d/\d\d \d\d:\d\d:\d\d"), "%Y/%m/%d %H:%M:%S"),
-    (re.compile(r"\d{1,2} [A-Za-z]{3} \d{4} \d\d:\d\d:\d\d"), "%d %b %Y %H:%M:%S"),
-    (re.compile(r"\d{1,2}-[A-Za-z]{3}-\d{4} \d\d:\d\d:\d\d"), "%d-%b-%Y %H:%M:%S"),
-    (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2}"), "%Y-%b-%d"),
-    (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2} \d\d:\d\d"), "%Y-%b-%d %H:%M"),
-    (re.compile(r"\d{4}-[A-Za-z]{3}-\d{2} \d\d:\d\d:\d\d"), "%Y-%b-%d %H:%M:%S"),
-    (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4}"), "%d.%m.%Y"),
-    (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d"), "%d.%m.%Y %H:%M"),
-    (re.compile(r"\d{1,2}\.\d{1,2}\.\d{4} \d\d:\d\d:\d\d"), "%d.%m.%Y %H:%M:%S"),
-)
+from bsp_gp.errors import UnitError
+from bsp_gp.units import Unit, parse_unit
+
+_IN_SECONDS = "times are in seconds since"
+"""What a note of dates says, where no other unit is declared."""
+_DAYS = {
+    r"\d{4}/\d\d/\d\d": "%Y/%m/%d", r"\d{1,2} [A-Za-z]{3} \d{4}": "%d %b %Y",
+    r"\d{1,2}-[A-Za-z]{3}-\d{4}": "%d-%b-%Y", r"\d{4}-[A-Za-z]{3}-\d{2}": "%Y-%b-%d",
+    r"\d{1,2}\.\d{1,2}\.\d{4}": "%d.%m.%Y",
+}  # fmt: skip
 """Ways of writing a date in which day and month cannot be mistaken for each other."""
+_TIMES = {"": "", r" \d\d:\d\d": " %H:%M", r" \d\d:\d\d:\d\d": " %H:%M:%S"}
+_FORMATS = {r"\d{4}-\d\d(-\d\d.*)?": "ISO8601"} | {
+    f"{day}{clock}": f"{date}{time}" for day, date in _DAYS.items()
+    for clock, time in _TIMES.items()
+}  # fmt: skip
 _PARTS = r"(?<=:\d\d)[.,]\d+$"
 """Of a second, at the end of a date."""
-_TURNED = re.compile(r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d\d:\d\d(\.\d+)?")
+_TURNED = r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d\d:\d\d(\.\d+)?"
 """A date in which day and month may be mistaken for each other, which matters where it changes."""
 _ERA = r"^(?:A\.?D\.?|C\.?E\.?)\s+(?=\d)"
 """Before a year of ours: ``A.D. 2025-Jul-01 00:00:00.0000``, as Horizons writes it."""
 _OF_JAVA = r"^[A-Z][a-z]{2} ([A-Z][a-z]{2}) +(\d{1,2}) (\d\d:\d\d:\d\d)(?: ([A-Z]\S*))? (\d{4})$"
 """``Wed Feb 23 06:37:13 GMT+08:00 2022``, of Java, and of C without a zone."""
-_CLOCK = re.compile(r"(\d{1,3}):(\d\d):(\d\d(?:[.,]\d+)?)")
-_MINUTES = re.compile(r"(\d{1,3}):(\d\d[.,]\d+)")
+_CLOCK = r"\d{1,3}:\d\d:\d\d(?:[.,]\d+)?"
+_MINUTES = r"\d{1,3}:\d\d[.,]\d+"
 """``38:05.6``, as spreadsheets show a time of the day with parts of a second; ``12:30`` is none."""
 HOUR = 3600.0
 
@@ -79,14 +82,11 @@ def seconds_of(cells):
         return None
     if not pd.api.types.is_datetime64_any_dtype(known):
         known = known.astype(str).str.strip().str.replace(_ERA, "", regex=True)
-        clock = known.str.fullmatch(_CLOCK.pattern)
-        if clock.all():
-            parts = known.str.replace(",", ".").str.split(":", expand=True).astype(float)
-            return _spread(is_known, parts.to_numpy() @ [3600.0, 60.0, 1.0]), "midnight"
-        if known.str.fullmatch(_MINUTES.pattern).all():
-            parts = known.str.replace(",", ".").str.split(":", expand=True).astype(float)
-            return _spread(is_known, _over_hours(parts.to_numpy() @ [60.0, 1.0])), "the full hour"
-        if known.str.fullmatch(_TURNED.pattern).all():
+        if _are(known, _CLOCK):
+            return _spread(is_known, _of_parts(known, [3600.0, 60.0, 1.0])), "midnight"
+        if _are(known, _MINUTES):
+            return _spread(is_known, _over_hours(_of_parts(known, [60.0, 1.0]))), "the full hour"
+        if _are(known, _TURNED):
             known = _either_way(known)
             if known is None:
                 return None
@@ -94,7 +94,7 @@ def seconds_of(cells):
         if of_java[3].nunique() < 2:  # another zone may be that of the summer
             known = known.str.replace(_OF_JAVA, r"\2 \1 \5 \3", regex=True)
         whole = known.str.replace(_PARTS, "", regex=True)
-        form = next((f for regex, f in _FORMATS if whole.str.fullmatch(regex.pattern).all()), None)
+        form = next((form for regex, form in _FORMATS.items() if _are(whole, regex)), None)
         if form is None:
             return None
         if form.endswith("%S") and (whole != known).any():  # full seconds may have no parts
@@ -106,6 +106,17 @@ def seconds_of(cells):
     start = known.min()
     seconds = (known - start) / pd.Timedelta(seconds=1)
     return _spread(is_known, seconds.to_numpy(dtype=float)), f"{start:%Y-%m-%d %H:%M:%S}"
+
+
+def _are(cells, regex):
+    """Whether all cells are written so; most are known by the first one."""
+    return bool(re.fullmatch(regex, cells.iloc[0])) and cells.str.fullmatch(regex).all()
+
+
+def _of_parts(cells, sizes):
+    """Seconds of what stands between colons, each of some size."""
+    parts = cells.str.replace(",", ".").str.split(":", expand=True).astype(float)
+    return parts.to_numpy() @ sizes
 
 
 def _over_hours(seconds):
@@ -131,3 +142,36 @@ def _spread(is_known, values):
     out = np.full(len(is_known), np.nan)
     out[is_known] = values
     return out
+
+
+def with_unix_times(table, units):
+    """Unix times, whatever they count, in seconds since the first."""
+    if "t" not in table or table.is_dated:
+        return table
+    if not table.is_numeric("t"):
+        return table
+    said = units.get("t", units.get("time", table.units.get("t", "")))
+    found = since_1970(table.frame["t"].to_numpy(dtype=float), said)
+    if found is None:
+        return table
+    times, unit = found
+    table = replace(
+        table.assigned(t=times), units={**table.units, "t": "s"}, is_dated=True
+    )
+    return table.noted(f"times count {unit} since 1970: they are in seconds since the first")
+
+
+def as_declared(table, units):
+    """Times that were dates in the unit that is declared: they are in none of their own."""
+    text = units.get("t", units.get("time"))
+    if not table.is_dated or text is None:
+        return table
+    try:
+        scale, unit = parse_unit(text)
+    except UnitError:  # told where all units are read
+        return table
+    if unit != Unit.of(s=1):
+        return table
+    frame = table.frame.assign(t=table.frame["t"] / scale)
+    notes = tuple(note.replace(_IN_SECONDS, f"times are in {text} since") for note in table.notes)
+    return replace(table, frame=frame, units={**table.units, "t": text}, notes=notes)

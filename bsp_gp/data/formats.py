@@ -6,7 +6,7 @@ side, workbooks, and long tables of trackpy. The result is one `Table` whatever 
 
 import csv
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,12 +31,13 @@ from bsp_gp.data.headings import (
     run_of,
     told,
 )
+from bsp_gp.data.notes import quoted
 from bsp_gp.data.polar import POLAR_COLUMNS
 from bsp_gp.data.polar_words import is_position_angle
-from bsp_gp.data.property_columns import quoted
 from bsp_gp.data.sniffing import DELIMITER_NAMES, sniff, split_line
 from bsp_gp.data.sources import open_source
 from bsp_gp.data.steps import with_even_clocks, with_sums_of_steps
+from bsp_gp.data.table import Table
 from bsp_gp.data.untimed import COUNTED, IN_TURN, rows_as_frames, with_bodies_in_turn
 from bsp_gp.data.wide import as_recordings, groups_of, stack
 from bsp_gp.errors import DataError
@@ -50,55 +51,6 @@ _HEAD_LINES, _MOST_LINES = 60, 10_000
 are told."""
 _TIME = Unit.of(s=1)
 _BY_NUMBER = ", or say which column is which by its number: --columns t=1 x=2"
-
-
-@dataclass(frozen=True)
-class Table:
-    """A delimited file as read.
-
-    Attributes
-    ----------
-    frame : pandas.DataFrame
-        Known columns under our names; the index is the line number in the file.
-    units : dict of str to str
-        Units found in the header.
-    renamed : frozenset of str
-        The renames of the caller that applied.
-    digest : str
-        SHA-256 of the file.
-    title : str or None
-        The single title line above the header (Tracker writes the name of the mass there).
-    theirs : dict of str to str
-        Our name of a column -> what the file calls it, of every one that is used.
-    present : tuple of str
-        All columns of the file, as it calls them.
-    up : str or None
-        Axis that is a height by its name.
-    unused : dict of str to str
-        Names of columns that mean nothing to us -> what the file calls them.
-    untimed : str
-        Of a table without a column of times: the remedy where rows are no frames of a known rate.
-    is_dated : bool
-        Whether its times, in seconds, were dates.
-    steps : dict of str to float
-        Axis -> step of the grid that what its places were made of was printed on, in their unit.
-    """
-
-    frame: pd.DataFrame
-    units: dict = field(default_factory=dict)
-    renamed: frozenset = frozenset()
-    file: str | None = None
-    digest: str = ""
-    title: str | None = None
-    decimal: str = "."
-    notes: tuple[str, ...] = ()
-    theirs: dict = field(default_factory=dict)
-    present: tuple[str, ...] = ()
-    up: str | None = None
-    unused: dict = field(default_factory=dict)
-    untimed: str = ""
-    is_dated: bool = False
-    steps: dict = field(default_factory=dict)
 
 
 def read_table(path, *, rename=None, as_text=False):

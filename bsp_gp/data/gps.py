@@ -31,7 +31,7 @@ minutes, whether the height is one of satellites (A), pressure altitude and heig
 
 
 def of_xml(text, path):
-    """The points of a GPX, TCX or KML file as text with tabs, the header first, and notes.
+    """The points of a GPX, TCX or KML file as rows, the header first, and notes.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def of_xml(text, path):
 
 
 def of_nmea(text, path):
-    """The fixes among sentences of NMEA 0183 as text with tabs, the header first, and notes.
+    """The fixes among sentences of NMEA 0183 as rows, the header first, and notes.
 
     Times of the day go on over midnight; sentences of one instant say one place.
     """
@@ -78,7 +78,7 @@ def of_nmea(text, path):
 
 
 def of_igc(text, path):
-    """The fixes of a flight recorder as text with tabs, the header first, and notes.
+    """The fixes of a flight recorder as rows, the header first, and notes.
 
     Heights are those of satellites, or of the pressure where most fixes have none of these.
     """
@@ -104,7 +104,7 @@ def of_igc(text, path):
 
 
 def _table(rows):
-    """Lines of a table, without runs where there is one and heights where few have any; notes.
+    """Rows of a table, without runs where there is one and heights where few have any; notes.
 
     Where most have a height, those without are no places in space.
     """
@@ -115,8 +115,7 @@ def _table(rows):
     rows = high if has_heights else rows
     first = 0 if len({row[0] for row in rows}) > 1 else 1
     stop = len(_HEADER) - (not has_heights)
-    text = "".join("\t".join(row[first:stop]) + "\n" for row in (_HEADER, *rows))
-    return text, notes
+    return [row[first:stop] for row in (_HEADER, *rows)], notes
 
 
 def _name(element):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bsp_gp.data.scene import CHECK
-from bsp_gp.data.words import folded, word_set
+from bsp_gp.data.words import folded, words_for
 
 GRAVITY = 9.81
 """What an accelerometer shows at rest, m/s^2."""
@@ -15,8 +15,7 @@ QUIET = 0.03
 """Part of the usual size within which a row shows hardly anything but gravity."""
 TURNED, OFTEN = 20.0, 0.97
 """Degrees by which the direction of gravity may differ from the usual one, in so many rows."""
-_WITHOUT = word_set("linear lineare lineal linéaire lineaire linjär lineær liniowe линейное")
-"""Of accelerations from which a telephone has taken gravity off itself."""
+_WITHOUT = words_for("without_gravity")
 
 
 @dataclass(frozen=True)

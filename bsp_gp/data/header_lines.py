@@ -1,6 +1,7 @@
 """Lines of a table taken apart: cells of rows, and names of columns as people set them."""
 
 import csv
+import io
 import re
 
 COMMENT = re.compile(r"^\ufeff?(?:[#%!]|//)\s*")
@@ -22,6 +23,13 @@ def split_line(line, delimiter):
     if delimiter is None:
         return tuple(line.split())
     return tuple(cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), []))
+
+
+def tabbed(rows):
+    """The text of a table with tabs; a row without cells is a blank line."""
+    out = io.StringIO()
+    csv.writer(out, delimiter="\t", lineterminator="\n").writerows(rows)
+    return out.getvalue()
 
 
 def is_rule(line):

@@ -8,6 +8,7 @@ belongs to (``Run 1: Time (s)``, ``Time (s) Run #2``) and the body (``star1_x``,
 import re
 import unicodedata
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from bsp_gp.data.conversion import is_unit, unit_of
 from bsp_gp.data.polar import POLAR_ALIASES, POLAR_COLUMNS, is_polar
@@ -23,7 +24,7 @@ from bsp_gp.data.polar_words import (
 )
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.data.sky import HOURS, SKY_COLUMNS, SKY_NUMBERS, is_sky
-from bsp_gp.data.words import apart, folded, plain_signs, word_set, words_for
+from bsp_gp.data.words import apart, folded, plain_signs, words_for
 from bsp_gp.errors import in_python
 from bsp_gp.units import ACCELERATION, ANGLES, GRAVITIES, OF_THE_SKY, Unit
 
@@ -87,39 +88,19 @@ _BODY_AFTER = re.compile(
 _TIME_WORDS, _PLACE_WORDS = words_for("time"), words_for("place")
 _AXIS_WORDS = words_for("axis")
 """Beside a symbol: ``x-Richtung``."""
-_MAP_WORDS = word_set("north northing hochwert")
+_MAP_WORDS = words_for("north")
 _FROM_WHERE = re.compile(r"\s+(?:of|from)\s+(?:the\s+)?(?:launch|start|origin|home)\b.*", re.I)
 """``Position East of launch``."""
 _UPRIGHT_WORDS = words_for("upright")
-RADIAL_NAMES = word_set("rv mnvel radvel rvel vrad")
-"""Of velocities along the line of sight."""
-INSTRUMENTS = frozenset(
-    "tel telescope instrument instrumentid inst instr spectrograph ins observatory".split()
-)
-"""Words of columns that say by what a velocity was measured: each has a zero of its own."""
+RADIAL_NAMES = words_for("radial")
+INSTRUMENTS = words_for("instrument")
 _SPEED_WORDS = words_for("speed") | RADIAL_NAMES
 _ACCELERATION_WORDS = words_for("acceleration")
-_ERROR_WORDS = word_set(
-    "error err std sd sigma uncertainty accuracy precision fit model residual fehler unsicherheit"
-    " genauigkeit likelihood confidence incertitude delta"
-)
-_DOUBT_WORDS = _ERROR_WORDS | word_set(
-    "quality qualität qualité calidad qualità score prob probability visible visibility occluded"
-    " flag status valid snr hdop vdop pdop sat sats satellites rssi checksum ecc eccentricity ep"
-    " signal raw_mass comment id label lost interpolated cost"
-)
-"""What says how sure or how good a measured place is, or what state a tracker is in."""
-_WHOSE_SPEED_WORDS = word_set(
-    "gps ground gnss abs absolute magnitude total norm modulus radial horizontal vertical x y z 2d"
-    " 3d m s mps ms km h kmh kph cm mm px momentary instantaneous average mean smoothed filtered"
-    " raw vector módulo modulo module modul"
-)
-_OTHER_WORDS = word_set(
-    "gyroscope gyro magnetic field force kraft rotation angular omega winkel angle torque"
-    " drehmoment throttle pwm duty setpoint rate rates cmd command desired"
-)
-_TURN_WORDS = word_set("orientation quaternion quat rotation attitude angular")
-"""``pose.orientation.x`` is no place."""
+_ERROR_WORDS = words_for("error")
+_DOUBT_WORDS = _ERROR_WORDS | words_for("doubt")
+_WHOSE_SPEED_WORDS = words_for("whose_speed")
+_OTHER_WORDS = words_for("no_place")
+_TURN_WORDS = words_for("turn")
 _PLACES = ("x", "y", "z")
 _ON_SKY = {"ra", "dec"}
 _ERROR_MARK = (
@@ -137,7 +118,7 @@ _BEFORE_ANGLE = r"(.+?)(?:\s*/\s*|\s+in\s+|_)(\S+)"
 """An angle, a mark, and its unit."""
 _BARE_ANGLES = frozenset(("rad", "radians", "deg", "degrees", "°"))
 """Units of angles that stand alone for an angle."""
-_COUNT_WORDS = word_set("nr no number num nummer index idx # id n° nº numéro número numero of the")
+_COUNT_WORDS = words_for("count")
 _INPUT = re.compile(r"[ab]\d|&[a-z]")
 """Of an interface, as in ``s_A1``, and signs for Greek letters as CASSY writes them, ``&b_A1``."""
 _GLUED = re.compile(
@@ -151,51 +132,17 @@ _OFFSET = re.compile(
     r"(?:d|delta|δ|∆|rel)(ra|dec)l?(?:off|offset)?|(ra|dec)l?(?:off|offset|rel)", re.IGNORECASE
 )
 """An offset on the sky: ``DeltaR.A.``, ``dDec``, ``raoff``."""
-_ROW_WORDS = word_set(
-    "iter iteration record row sample point reading zeile messpunkt ligne fila riga"
-)
-_BESIDE_WORDS = word_set(
-    "temperature temp temperatur température temperatura voltage voltages volt spannung tension"
-    " current strom corrente corriente pressure druck pression humidity feuchte luftfeuchte battery"
-    " akku charge brightness intensity helligkeit lumen light licht quality qualität power leistung"
-    " energy energie mass masse weight gewicht comment kommentar note bemerkung remark flag status"
-    " area size fläche"
-)
-"""What is logged beside a motion, and is no place."""
-_SHORT_BESIDE = word_set(
-    "pres press baro hum rh hpa kpa mbar temp tmp lux volt amp amps bat batt vbat vcc co2 ppm"
-)
-"""The same in short, where a heading is nothing else but a letter and a number."""
-_FAR_WORDS = word_set("distance dist delta range abstand entfernung distanz distancia distanza")
-"""Beside places in the sky: how far that is."""
-_PROCESSED_WORDS = word_set(
-    "raw noisy smooth smoothed filtered filter pixel pixels px image screen offset min max mean"
-    " average center centre target roh geglättet origin scale old new next previous prev"
-)
-"""Of one body's places a second time."""
-_BODY_WORDS = word_set(
-    "puck pucks ball balls kugel ball sphere disc disk scheibe glider gleiter bead particle"
-    " teilchen name label bodies cell zelle fish fly mouse bird animal tier car ship boat moon"
-    " component bob pendulum pendel palla bola balle bille carrito carrello"
-)
-"""More words of bodies, where rows at one time need to be told apart."""
-_OF_WORDS = word_set("der des of the du de la le del della total totale gesamt") | _BODY_WORDS
-_PROPERTY_WORDS = {
-    "mass": word_set("mass masse masses masa massa gesamtmasse kugelmasse wagenmasse"),
-    "charge": word_set("charge ladung carga carica"),
-}
-_WITH_ITS_UNIT = {"mass": word_set("m weight gewicht poids peso"), "charge": word_set("q")}
-"""Words that mean that property where a unit of it stands beside them."""
-_OF_LOGGERS = word_set(
-    "filtered smoothed agl msl asl baro barometric gps gnss estimated est approx aprox"
-    " update device"
-)
-"""Words beside those of a place or a time that change nothing."""
-_OF_VEHICLES = word_set("lat latitude lon lng long longitude roll yaw heading")
-_COURSES = word_set("track pitch")
-"""Beside one of those before: where a vehicle goes and how it is turned, no body and no throw."""
-_CLOCKS = word_set("utc utcg utcj gmt tdb tai tt iso lt local cet cest")
-"""Of which clock a time is: ``Time (UTCG)``."""
+_ROW_WORDS = words_for("row")
+_BESIDE_WORDS = words_for("beside")
+_SHORT_BESIDE = words_for("beside_short")
+_FAR_WORDS = words_for("far")
+_PROCESSED_WORDS = words_for("processed")
+_BODY_WORDS = words_for("body")
+_OF_WORDS = words_for("of") | _BODY_WORDS
+_OF_LOGGERS = words_for("of_loggers")
+_OF_VEHICLES = words_for("vehicle")
+_COURSES = words_for("course")
+_CLOCKS = words_for("clock")
 _CLOCK_UNITS = {
     "ms": "ms", "msec": "ms", "millis": "ms", "millis()": "ms", "milliseconds": "ms",
     "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "seconds_elapsed": "s",
@@ -209,15 +156,8 @@ _ON_THE_SKY = HOURS | frozenset(ANGLES) | frozenset(OF_THE_SKY)
 _GUESSES = {
     "t": words_for("date"),
     "frame": words_for("frame"),
-    "scene": words_for("run") | word_set(
-        "wurf throw drop shot release flight fall swing attempt recording aufnahme repetition"
-        " scene szene lancer lanzamiento lancio clip video launch toss kick putt pitch serve"
-        " stroke jump leap dive lap mission session sweep coast descent ascent collision"
-    ),
-    "entity": word_set(
-        "body objekt körper objet corps objeto oggetto corpo cuerpo marker star planet cart wagen"
-        " track trajectory"
-    ),
+    "scene": words_for("run") | words_for("recording"),
+    "entity": words_for("entity"),
     "y": words_for("height"),
     "x": _PLACE_WORDS | words_for("distance"),
 }  # fmt: skip
@@ -345,8 +285,8 @@ def property_of_words(text, unit=""):
     """The property of bodies that a heading speaks of, and its unit agrees with; or ""."""
     words = words_of(text) - {""} - _COUNT_WORDS - _OF_WORDS
     of_unit = unit_of(unit) if unit else None
-    for name, known in _PROPERTY_WORDS.items():
-        known = known | _WITH_ITS_UNIT[name] if unit else known
+    for name in ("mass", "charge"):
+        known = words_for(name) | (words_for(f"{name}_with_unit") if unit else frozenset())
         if words and words <= known and (not unit or of_unit == PROPERTY_UNITS[name]):
             return name
     return ""
@@ -406,9 +346,11 @@ def is_count(text):
     return (words_of(text) - {""}) <= _COUNT_WORDS | _ROW_WORDS
 
 
+@lru_cache(maxsize=1 << 14)  # a wide table is asked about its headings again and again
 def words_of(text):
-    """The words of a heading, folded, a set of str."""
-    return {word.rstrip(".") for word in re.split(r"[\s_\-()\[\]/]+", folded(apart(text)))}
+    """The words of a heading, folded, a frozenset of str."""
+    words = re.split(r"[\s_\-()\[\]/]+", folded(apart(text)))
+    return frozenset(word.rstrip(".") for word in words)
 
 
 def has_place(found):
@@ -651,6 +593,7 @@ def _split_unit(cell, back, is_track):
     return (glued[1] or glued[3], glued[2] or glued[4]) if glued else (cell, "")
 
 
+@lru_cache(maxsize=1 << 12)
 def _our_name(name):
     """Our name of a column that people call ``Time``, ``Zeit t``, ``x-position`` or ``v_x``."""
     lower = name.lower()
@@ -673,6 +616,7 @@ def _our_name(name):
     return (ALIASES[lower], WORD) if lower in ALIASES else (name, UNKNOWN)
 
 
+@lru_cache(maxsize=1 << 12)
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
     name = _FROM_WHERE.sub("", _last_of(name))

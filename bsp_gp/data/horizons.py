@@ -13,7 +13,6 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK
 from bsp_gp.data.sky import is_sky
 from bsp_gp.errors import DataError, in_python
@@ -28,7 +27,7 @@ _ENTRY = re.compile(r"\b(V?[XYZ])\s*=\s*([-+]?\d\.\d+E[-+]\d+)")
 
 
 def plain_horizons(text, path):
-    """A table with units, the body and the one from which places count, and a note of that.
+    """Rows with units, the body and the one from which places count, and a note of that.
 
     What is none of Horizons' stays as it is.
 
@@ -73,12 +72,11 @@ def plain_horizons(text, path):
     centre = _centre("\n".join(above)) if "JDTDB" in header else _SUN * ("x (au)" in made)
     if centre and centre != name:
         table += [[centre, row[0], *["0"] * (len(made) - 1)] for row in cells]
-    text = "\n".join("\t".join(row) for row in table) + "\n"
     notes = (f"places count from {centre}, which is at rest at the origin",) * bool(centre)
     if "ra" in made and len(made) > len(("t", "ra", "dec")):
         seen_from = re.search(_CENTRE_NAME, "\n".join(above))
         notes += (f"places are those that are seen from {seen_from[1]}",) if seen_from else ()
-    return text, notes
+    return table, notes
 
 
 _SUN = "Sun"
@@ -164,7 +162,7 @@ def without_header(table, declaration):
         units = {"t": "day", "ra": "deg", "dec": "deg", "distance": "au"}
         own = {name: units[name] for name in units if name in table.frame}
         note = "headings are those of astroquery: angles in degrees, distances in au"
-        return replace(table, units=own | table.units, notes=(*table.notes, note))
+        return replace(table, units=own | table.units).noted(note)
     if "x" not in table.frame:
         return table
     length, speed = _by_steps(table) if "vx" in table.frame else ("", "")
@@ -184,12 +182,12 @@ def without_header(table, declaration):
         f"{CHECK}the file does not say from which body places count: a pull of that body is one "
         "towards the origin; the whole output of Horizons, as it is, says which it is",
     )
-    return replace(table, units=known, notes=(*table.notes, *map(in_python, notes)))
+    return replace(table, units=known).noted(*map(in_python, notes))
 
 
 def _by_steps(table):
     """Units of places and velocities; "" where steps and velocities do not agree in any."""
-    times, place, speed = (numbers_of(table, name) for name in ("t", "x", "vx"))
+    times, place, speed = (table.numbers(name) for name in ("t", "x", "vx"))
     gone = np.diff(place) / np.diff(times)
     ratio = float(np.nanmedian(np.abs(gone)) / np.nanmedian(np.abs(speed)))
     if abs(ratio / _DAY - 1) < 0.5:

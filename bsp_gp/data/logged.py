@@ -10,7 +10,6 @@ import re
 from functools import cached_property
 
 import numpy as np
-import pandas as pd
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bsp_gp.data.conversion import unit_of
@@ -66,7 +65,7 @@ def logged_columns(table, taken):
         if column not in table.frame or column in taken or theirs in of_bodies:
             continue
         cells, unit = table.frame[column], table.units.get(column, "")
-        if not pd.api.types.is_numeric_dtype(cells) or _is_named_else(theirs, column, unit):
+        if not table.is_numeric(column) or _is_named_else(theirs, column, unit):
             continue
         try:
             scale, dimension = parse_unit(unit) if unit else (1.0, DIMENSIONLESS)

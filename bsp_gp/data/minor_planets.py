@@ -41,7 +41,6 @@ def of_observations(text, path):
         days = date(int(year), int(month), 1).toordinal() + _BEFORE_MONTH + float(day)
         rows.append([name, repr(days), ra.strip(), dec.strip()])
         codes[code] += 1
-    table = "\n".join("\t".join(row) for row in (["entity", "t (day)", "ra", "dec"], *rows)) + "\n"
     told = listed([f"{code} ({count})" for code, count in codes.most_common()], 8)
     note = (
         f"{CHECK}places are those that are seen from observatories ({told}): how the Earth "
@@ -49,4 +48,4 @@ def of_observations(text, path):
     )
     out = len(lines) - len(rows)
     more = (f"{out} line(s) are no places of the sky in h m s, or were replaced: left out",)
-    return table, (note, *more * bool(out))
+    return [["entity", "t (day)", "ra", "dec"], *rows], (note, *more * bool(out))

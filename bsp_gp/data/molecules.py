@@ -35,7 +35,7 @@ def is_of_frames(lines):
 
 
 def of_xyz(text, path):
-    """Rows of time (or frame), particle and place as text with tabs, the header first, and notes.
+    """Rows of time (or frame), particle and place as rows, the header first, and notes.
 
     Particles of one name are numbered.
 
@@ -64,12 +64,11 @@ def of_xyz(text, path):
         raise DataError(f"columns are not {_PLAIN}", file=path, row=2, remedy=_REMEDY)
     head, clock = _clock([comment for comment, _ in frames])
     places = [[re.sub("[dD]", "e", cell) for row in rows for cell in row[1:]] for _, rows in frames]
-    lines, names = ["\t".join((head, "entity", "x", "y", "z"))], _told_apart(named)
+    rows, names = [[head, "entity", "x", "y", "z"]], _told_apart(named)
     for time, own in zip(clock, places, strict=True):
-        for k, name in enumerate(names):
-            lines.append("\t".join((time, name, *own[3 * k : 3 * k + 3])))
+        rows += [[time, name, *own[3 * k : 3 * k + 3]] for k, name in enumerate(names)]
     notes = (f"frames of particles: {len(frames)}", *_jumps(np.array(places, dtype=float)))
-    return "\n".join(lines) + "\n", notes
+    return rows, notes
 
 
 def _jumps(places):

@@ -8,16 +8,17 @@ import numpy as np
 from bsp_gp.data.headings import BY_WORDS
 from bsp_gp.data.notes import LISTED, listed
 from bsp_gp.data.polar_words import plain_words
-from bsp_gp.data.roster import GAP, fail_at, numbers_of
 from bsp_gp.data.scene import CHECK
 from bsp_gp.data.sky import is_sky
+from bsp_gp.data.table import GAP, less
+from bsp_gp.data.words import words_for
 from bsp_gp.units import parse_unit
 
-_LATITUDE = frozenset("lat latitude breite breitengrad latitud latitudine".split())
-_LONGITUDE = frozenset("lon lng long longitude länge längengrad longitud longitudine".split())
-_HEIGHT = frozenset("altitude alt height elevation ele hmsl msl höhe hoehe altitud altezza".split())
-_WAYS = frozenset("distance dist strecke weg distancia distanza".split())
-_WITH = frozenset("gps gnss deg degrees ° wgs84 m ft meters metres data fix".split())
+_LATITUDE = words_for("latitude")
+_LONGITUDE = words_for("longitude")
+_HEIGHT = words_for("height_on_maps")
+_WAYS = words_for("way")
+_WITH = words_for("with_latitude")
 EQUATOR, FLATTENING = 6_378_137.0, 1 / 298.257223563
 """Radius of the equator, m, and flattening of the ellipsoid of WGS 84."""
 
@@ -38,45 +39,40 @@ def from_maps(table, declaration):
     if not (latitude and longitude) or is_sky(table.frame):
         return table
     if _is_way_gone(table, declaration):  # of the same motion, and it says less
-        way = table.theirs["x"]
-        table = replace(
-            table, frame=table.frame.drop(columns="x"), unused={**table.unused, "x": way},
-            theirs={n: t for n, t in table.theirs.items() if n != "x"},
-            units={n: u for n, u in table.units.items() if n != "x"},
-        )  # fmt: skip
-    lat, lon = numbers_of(table, latitude), numbers_of(table, longitude)
+        table = table.unread(["x"])
+    lat, lon = table.numbers(latitude), table.numbers(longitude)
     is_lost = (lat == 0) & (lon == 0)
     if 0 < np.count_nonzero(is_lost) < len(lat) - 1:  # a receiver without a fix
         lines = table.frame.index[is_lost].tolist()
         told = (f"{CHECK}{len(lines)} row(s) say that latitude and longitude are 0, as receivers "
                 f"do that see no satellites: left out (line {listed(lines, LISTED)})")  # fmt: skip
-        table = replace(table, frame=table.frame[~is_lost], notes=(*table.notes, told))
+        table = table.of_rows(~is_lost).noted(told)
         lat, lon = lat[~is_lost], lon[~is_lost]
     if "x" in table.frame or ("y" in table.frame and np.ptp(lat) == np.ptp(lon) == 0):
         return table  # all that moves is seen
     if (np.abs(lat) > 90).any():
         row = int((np.abs(lat) > 90).argmax())
-        fail_at(table, f"a latitude is between -90 and 90, got {lat[row]:g}", row, latitude, GAP)
+        table.fail(f"a latitude is between -90 and 90, got {lat[row]:g}", latitude, GAP, row=row)
     length = declaration.units.get("length")
     scale = parse_unit(length)[0] if length else 1.0
     x, y = (way / scale for way in _in_plane(np.radians(lat), np.radians(lon)))
     height = "y" if table.up == "y" else _of(table, _HEIGHT)
-    names = {name: _theirs(table, name) for name in (latitude, longitude)}
+    names = {name: table.heading(name) for name in (latitude, longitude)}
     gone = (*names, height) if height else (*names,)
-    places = {"x": x, "y": y} | ({"z": numbers_of(table, height)} if height else {})
+    places = {"x": x, "y": y} | ({"z": table.numbers(height)} if height else {})
     own = {} if length else {"x": "m", "y": "m", "z": table.units.get(height, "m")}
-    units = {n: u for n, u in table.units.items() if n not in (*gone, "x", "y")}
+    units = less(table.units, (*gone, "x", "y"))
     units |= {axis: own[axis] for axis in places if axis in own}
     is_timed = "t" in table.frame and not {"t", "time"} & {*declaration.units, *table.units}
     units |= {"t": "s"} if is_timed and not length else {}
     theirs = {**table.theirs, "x": names[longitude], "y": names[latitude]}
     if height:
-        theirs["z"] = _theirs(table, height)
+        theirs["z"] = table.heading(height)
     note = "latitude and longitude were read as places east (x) and north (y) of where it begins"
     is_taken = height and not (length or table.units.get(height) or "z" in declaration.units)
     return replace(
         table, frame=table.frame.drop(columns=list(gone)).assign(**places), units=units,
-        theirs=theirs, unused={n: t for n, t in table.unused.items() if n not in gone},
+        theirs=theirs, unused=less(table.unused, gone),
         notes=(*_without_guesses(table.notes, "xy"), f"{note}, in m on the ellipsoid of WGS 84"
                + (f"; {theirs['z']!r} as the height (z)" if height else "")
                + ("; it has no unit and is taken as in m: --units z=ft says another"
@@ -116,10 +112,6 @@ def _of(table, words):
         if name in table.frame and own & words and own <= words | _WITH:
             found.append((not own & {"gps", "gnss"}, -table.frame[name].nunique(), name))
     return min(found)[2] if found else ""
-
-
-def _theirs(table, name):
-    return table.theirs.get(name) or table.unused.get(name, name)
 
 
 def _in_plane(lat, lon):

@@ -102,10 +102,9 @@ def of_miriade(text, path):
     dates = dict.fromkeys(row[1] for row in rows)
     still = [["Sun", date, *["0"] * (len(kept) - 2)] for date in dates]
     out = [[row[k] for k in kept] for row in ([names] + rows)] + still
-    made = "\n".join("\t".join(row) for row in out) + "\n"
     left = [name for k, name in enumerate(header) if k not in kept]
     notes = ("places count from the Sun, which is at rest at the origin",)
-    return made, notes + (f"not used: {', '.join(left)}",) * bool(left)
+    return out, notes + (f"not used: {', '.join(left)}",) * bool(left)
 
 
 def elements(text, path):
@@ -119,7 +118,7 @@ def elements(text, path):
 
 
 def _table(rows, centre, unit, frame):
-    """The text of a table of (body, seconds, place), with the centre at rest; and a note."""
+    """Rows of a table of (body, seconds, place), with the centre at rest; and a note."""
     is_turning = frame == "SP3" or _TURNING.fullmatch(frame.strip()) is not None
     if is_turning and centre != "Earth":
         raise ValueError(f"axes that turn with {centre}")
@@ -136,7 +135,7 @@ def _table(rows, centre, unit, frame):
         )
     if is_body:
         out = [[centre, s, 0, 0, 0] for s in dict.fromkeys(row[1] for row in out)] + out
-    return "\n".join("\t".join(map(str, row)) for row in (header, *out)) + "\n", (note,)
+    return [header, *out], (note,)
 
 
 def _turned(place, seconds):

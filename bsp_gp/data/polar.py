@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.conversion import ratio_of
-from bsp_gp.data.roster import GAP, fail_at, numbers_of, require_columns
-from bsp_gp.errors import DataError, UnitError
+from bsp_gp.data.table import GAP, less
+from bsp_gp.errors import UnitError
 from bsp_gp.units import parse_unit
 
 POLAR_COLUMNS = ("distance", "angle", "sdistance", "sangle")
@@ -23,7 +23,7 @@ def is_polar(columns):
     return {"distance", "angle"} <= columns and not {"x", "y"} & columns
 
 
-def from_polar(table, units, *, start="x", sense="counter-clockwise"):
+def from_polar(table, declaration):
     """Put x and y in the place of a distance and an angle.
 
     An angle counts modulo a turn. Standard errors are carried over axis by axis; what they have in
@@ -31,19 +31,18 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
 
     Parameters
     ----------
-    units : mapping of str to str
-        ``[units]``; that of the angle must be there or in the header.
-    start : {"x", "y"}
-        Axis on which the angle is 0.
-    sense : {"counter-clockwise", "clockwise"}
-        Position angles, from north through east, run clockwise from y where x points to the east.
+    table : Table
+    declaration : Declaration
+        Its ``angle_from`` is the axis on which the angle is 0 (x), its ``angle_turns`` the sense in
+        which it counts (counter-clockwise). Position angles, from north through east, run clockwise
+        from y where x points to the east.
 
     Returns
     -------
     table : Table
         With columns x, y, and sx, sy where errors are given.
-    units : dict of str to str
-        Without those of what is gone.
+    declaration : Declaration
+        With units of these.
 
     Raises
     ------
@@ -52,48 +51,43 @@ def from_polar(table, units, *, start="x", sense="counter-clockwise"):
         is not, or an error of only one of the two.
     """
     if not is_polar(table.frame.columns):
-        return table, dict(units)
-    found = {**table.units, **units}
-    frame = table.frame
-    angle = numbers_of(table, "angle") * _scale_of_angle(table, found, "angle")
-    distance = numbers_of(table, "distance")
+        return table, declaration
+    found = {**table.units, **declaration.units}
+    angle = table.numbers("angle") * _scale_of_angle(table, found, "angle")
+    distance = table.numbers("distance")
     _check(table, distance < 0, "distance", "a distance must not be negative", distance)
     half = np.isnan(distance) != np.isnan(angle)
     _check(table, half, "angle", "a distance without an angle, or an angle without a distance")
-    angle = angle if sense == "counter-clockwise" else -angle
-    angle = angle if start == "x" else angle + np.pi / 2
+    angle = -angle if declaration.angle_turns == "clockwise" else angle
+    angle = angle + np.pi / 2 if declaration.angle_from == "y" else angle
     cosine, sine = np.cos(angle), np.sin(angle)
     new = {"x": distance * cosine, "y": distance * sine}
-    if {"sdistance", "sangle"} & set(frame.columns):
-        require_columns(table, ["sdistance", "sangle"])
+    if {"sdistance", "sangle"} & set(table.columns):
+        table.require(["sdistance", "sangle"])
         key = "sangle" if "sangle" in found else "angle"
-        across = distance * numbers_of(table, "sangle") * _scale_of_angle(table, found, key)
-        along = numbers_of(table, "sdistance") * _ratio_of_errors(table, found)
+        across = distance * table.numbers("sangle") * _scale_of_angle(table, found, key)
+        along = table.numbers("sdistance") * _ratio_of_errors(table, found)
         for name, error in (("sdistance", along), ("sangle", across)):
             _check(table, error < 0, name, "a standard error must not be negative", error)
         new["sx"] = np.hypot(cosine * along, sine * across)
         new["sy"] = np.hypot(sine * along, cosine * across)
-    rest = frame.drop(columns=[c for c in POLAR_COLUMNS if c in frame.columns])
 
-    def renamed(texts):
-        out = {k: text for k, text in texts.items() if k not in POLAR_COLUMNS}
-        axes = ("x", "y", "sx", "sy") if "sx" in new else ("x", "y")
-        return out | dict.fromkeys(axes if "distance" in texts else (), texts.get("distance"))
+    def of_places(texts):
+        """Units of x, y and their errors: that of the distance."""
+        return dict.fromkeys(new, texts["distance"]) if "distance" in texts else {}
 
     note = "distance and angle were read as x and y"
     note += ", with the errors of each axis by itself" if "sx" in new else ""
-    return (
-        replace(table, frame=rest.assign(**new), units=renamed(table.units),
-                notes=(*table.notes, note)),
-        renamed(units),
-    )  # fmt: skip
+    made = table.instead(POLAR_COLUMNS, new, of_places(table.units)).noted(note)
+    units = less(declaration.units, POLAR_COLUMNS) | of_places(declaration.units)
+    return made, replace(declaration, units=units)
 
 
 def _check(table, bad, column, problem, values=None):
     if bad.any():
         k = int(bad.argmax())
         got = "" if values is None else f", got {values[k]:g}"
-        fail_at(table, problem + got, k, column, GAP)
+        table.fail(problem + got, column, GAP, row=k)
 
 
 def _ratio_of_errors(table, units):
@@ -103,9 +97,9 @@ def _ratio_of_errors(table, units):
         return 1.0
     ratio = ratio_of(own, of)
     if ratio is None:
-        raise DataError(
-            f"errors of the distance are in {own!r}, the distance is in {of!r}", file=table.file,
-            column="sdistance", remedy="give both in units of one kind",
+        table.fail(
+            f"errors of the distance are in {own!r}, the distance is in {of!r}", "sdistance",
+            "give both in units of one kind",
         )  # fmt: skip
     return ratio
 
@@ -113,14 +107,16 @@ def _ratio_of_errors(table, units):
 def _scale_of_angle(table, units, column):
     remedy = 'give angle = "deg" in [units] (or "rad", "turn", "arcmin")'
     if column not in units:
-        raise DataError("the angle has no unit", file=table.file, column=column, remedy=remedy)
+        table.fail("the angle has no unit", column, remedy)
+    return scale_of_angle(table, column, units[column], remedy)
+
+
+def scale_of_angle(table, column, text, remedy):
+    """Radians of a unit of angles; DataError about the column if it is none."""
     try:
-        scale, unit = parse_unit(units[column])
+        scale, unit = parse_unit(text)
     except UnitError as error:
-        raise DataError(str(error), file=table.file, column=column, remedy=remedy) from error
+        table.fail(str(error), column, remedy)
     if not unit.is_dimensionless:
-        raise DataError(
-            f"{units[column]!r} is no unit of an angle", file=table.file, column=column,
-            remedy=remedy,
-        )  # fmt: skip
+        table.fail(f"{text!r} is no unit of an angle", column, remedy)
     return scale

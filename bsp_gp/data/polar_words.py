@@ -2,41 +2,30 @@
 
 import re
 
+from bsp_gp.data.words import folded, words_for
 from bsp_gp.units import OF_THE_SKY
 
-
-def _set(text):
-    return frozenset(text.split())
-
-
-_FAR = _set(
-    "separation sep rho ρ distance abstand radius r distanz distanza distancia separación"
-    " separazione séparation"
-)
-_ANGLE = _set(
-    "angle winkel theta θ phi φ pa position pos angular positionswinkel auslenkwinkel drehwinkel"
-    " angolo ángulo angulo posizione posición"
-)
-_POSITION_ANGLE = _set("pa position pos positionswinkel posizione posición")
+_FAR = words_for("separation")
+_ANGLE = words_for("sky_angle")
+_POSITION_ANGLE = words_for("position_angle")
 _ARCSEC = ('"', "″", "''", "”", "arcsecs", "arcseconds")
-_FILLER = _set("angular obs observed measured de di of")
-"""Words that change nothing beside one that counts."""
-_ERROR = _set("error err e sigma σ sig std sd unc uncertainty u fehler erreur incertitude ± +/-")
+_FILLER = words_for("filler")
+_ERROR = words_for("sky_error")
 _GLUED = re.compile(r"(?:err|sigma|sig|unc|e|σ|s)_?(.+)|(.+?)_?(?:error|err|sigma|sig|unc)")
 """``erho``, ``σθ``, ``PAerr``: an error without a blank."""
 _BEHIND = re.compile(r"(?<=[A-Za-z])(?=(?:Obs|Meas|Err)(?![a-z]))|(?<=\b[Tt])(?=obs\b)")
 """In ``PAObs`` and ``Tobs``, before what changes little."""
-_YEAR = _set("year years yr jahr jahre année anno año jyear byear besselian bessel julian decimal")
-_DAY = _set("jd mjd hjd bjd rjd jdb btjd bkjd julian jdtdb jdut jdutc jdtt tdb tt utc")
+_YEAR = words_for("year")
+_DAY = words_for("day")
 _SINCE = re.compile(r"\s*[-−–]\s*\d[\d.,]{3,}$")
 """What Julian dates count from: ``BJD-2450000``, ``JD - 2,450,000``."""
-_DATE = _set("date datetime epoch ep obs observed observation of time day days t") | _YEAR | _DAY
+_DATE = words_for("observed") | _YEAR | _DAY
 
 
 def plain_words(text):
-    """The words of a heading, lower case; ``P.A.`` is ``pa``."""
+    """The words of a heading, folded; ``P.A.`` is ``pa``."""
     text = _BEHIND.sub(" ", text)
-    words = re.split(r"[\s_\-()\[\]/,]+", text.lower().replace("+/-", "±"))
+    words = re.split(r"[\s_\-()\[\]/,]+", folded(text).replace("+/-", "±"))
     return {word.replace(".", "") for word in words} - {""}
 
 
@@ -98,7 +87,7 @@ def date_unit(text):
     True
     """
     words = plain_words(_SINCE.sub("", text))
-    if not words or not words <= _DATE or words <= _set("obs observed of"):
+    if not words or not words <= _DATE or words <= {"obs", "observed", "of"}:
         return None
     return "yr" if words & _YEAR else "day" if words & _DAY else ""
 
@@ -106,7 +95,7 @@ def date_unit(text):
 def is_date(text):
     """Whether a heading speaks of dates, and not of any time."""
     return date_unit(text) is not None and bool(
-        plain_words(text) & (_set("date epoch ep") | _YEAR | _DAY)
+        plain_words(text) & ({"date", "epoch", "ep"} | _YEAR | _DAY)
     )
 
 
@@ -117,4 +106,4 @@ def is_julian(text):
 
 def is_besselian(text):
     """Whether a heading counts years in the manner of Bessel."""
-    return bool(plain_words(text) & _set("besselian bessel byear"))
+    return bool(plain_words(text) & {"besselian", "bessel", "byear"})

@@ -1,5 +1,8 @@
 """Tables below a preamble, as programs of motion capture and loggers write them, as plain ones.
 
+What reads a kind of file gives rows, or a text where it has only taken something off it, and may
+give notes beside these.
+
 Layouts are those of the programs' own documentation: the TRC files of Motion Analysis and OpenSim,
 the exports of OptiTrack's Motive, of Vicon's Nexus and of Qualisys' QTM (in mm), TOA5 of Campbell's
 loggers, the enhanced CSV of Astropy, machine-readable tables of the AAS and the CDS, LabVIEW's
@@ -14,13 +17,12 @@ import math
 import re
 
 from bsp_gp.data.gps import NMEA, of_nmea
+from bsp_gp.data.header_lines import tabbed
 from bsp_gp.data.horizons import plain_horizons
 from bsp_gp.data.minor_planets import OF_OBSERVATIONS, of_observations
 from bsp_gp.data.notes import listed
 from bsp_gp.data.orbits import OF_ELEMENTS, OF_SP3, elements, of_message, of_miriade, of_sp3, of_stk
 from bsp_gp.errors import DataError
-
-_AXES = ("X", "Y", "Z")
 
 
 def _cells(line, delimiter):
@@ -36,13 +38,13 @@ def _long(rows, time, owners, unit, path):
             remedy="export markers with labels, or a table with columns t, entity, x, y, z",
         )  # fmt: skip
     behind = f" ({unit})" if unit else ""
-    lines = ["\t".join(["entity", "t (s)", *(f"{a.lower()}{behind}" for a in _AXES)])]
+    out = [["entity", "t (s)", *(f"{axis}{behind}" for axis in "xyz")]]
     for row in rows:
         for start, name in owners:
             place = [*row[start : start + 3], "", "", ""][:3]
             if any(place):
-                lines.append("\t".join([name, time(row), *place]))
-    return "\n".join(lines) + "\n"
+                out.append([name, time(row), *place])
+    return out
 
 
 def _trc(text, path):
@@ -76,14 +78,14 @@ def _tracking_tools(text, path):
     What is told apart is called by the names, which are numbers where nobody gave any.
     """
     rows = [cells for line in text.splitlines() if (cells := _cells(line, ","))[:1] == ["frame"]]
-    lines = ["\t".join(["entity", "t (s)", *(f"{axis.lower()} (m)" for axis in _AXES)])]
+    out = [["entity", "t (s)", *(f"{axis} (m)" for axis in "xyz")]]
     for row in rows:
         bodies, markers = int(row[3]), row[4:]
         markers = markers[11 * bodies :]  # of a rigid body: its number, place and turn
         for k in range(int(markers[0]) if markers else 0):
             *place, _, name = markers[1 + 5 * k : 6 + 5 * k]
-            lines.append("\t".join([name, row[2], *place]))
-    return "\n".join(lines) + "\n"
+            out.append([name, row[2], *place])
+    return out
 
 
 def _vicon(text, path):
@@ -179,7 +181,7 @@ def _labview(text, path):
             cells = [row[a] if a < len(row) else "" for a in at]
             out.append([str(number), *(cell.replace(",", ".") for cell in (time, *cells))])
     skipped = 1 if len(bodies) == 1 else 0
-    return "\n".join("\t".join(row[skipped:]) for row in out) + "\n"
+    return [row[skipped:] for row in out]
 
 
 _LVM_END = "***End_of_Header***"
@@ -219,7 +221,7 @@ def _washington(text, path):
     lines = text.splitlines()
     start = next(k for k, line in enumerate(lines) if line.startswith("MEASURES"))
     end = next(k for k in range(start, len(lines)) if lines[k].startswith("---"))
-    pairs, limits, out = [], [], ["" for _ in lines[:end]]
+    pairs, limits, out = [], [], [[] for _ in lines[:end]]
     for k, line in enumerate(lines[start + 1 : end], start + 1):
         if line[:1].strip():  # of a pair, and what is known of it
             pairs.append(" ".join(line[:12].split()))
@@ -229,11 +231,10 @@ def _washington(text, path):
             cells = [line[part].strip() for part in _MEASURE]
             plain = [cell if _is_number(cell) else "" for cell in cells]
             limits += [k + 1] * (not {*cells} <= {"", ".", *plain})
-            out[k] = "\t".join([pairs[-1], *plain])
-    out[start] = "\t".join(["run" if len(set(pairs)) > 1 else "designation", *_MEASURED])
-    listed = ", ".join(map(str, limits[:8])) + (" ..." if len(limits) > 8 else "")
+            out[k] = [pairs[-1], *plain]
+    out[start] = ["run" if len(set(pairs)) > 1 else "designation", *_MEASURED]
     note = f"in {len(limits)} row(s) limits, or numbers with a mark, are no values: line"
-    return "\n".join(out) + "\n", (f"{note} {listed}",) if limits else ()
+    return out, (f"{note} {listed(limits, 8)}",) if limits else ()
 
 
 def _orbit_input(text, path):
@@ -258,8 +259,7 @@ def _orbit_input(text, path):
         return text
     kept = [k for k in range(7) if any(row[k] for row in rows[1:])]
     note = f"velocities of the secondary (Vb) are not read: {others}"
-    table = ["\t".join(row[k] for k in kept) for row in rows]
-    return "\n".join(table) + "\n", (note,) * bool(others)
+    return [[row[k] for k in kept] for row in rows], (note,) * bool(others)
 
 
 _CDS_BEGINS = "Byte-by-byte Description"
@@ -284,8 +284,8 @@ def _machine_readable(text, path):
     told = [_CDS_COLUMN.fullmatch(line) for line in lines[top + 1 : end]]
     columns = [(int(m[1] or m[2]) - 1, int(m[2]), *m.group(3, 4, 5)) for m in told if m]
     header = [label if unit == "---" else f"{label} ({unit})" for _, _, unit, label, _ in columns]
-    out, shifted = ["" for _ in lines], []
-    out[end] = "\t".join(header)
+    out, shifted = [[] for _ in lines], []
+    out[end] = header
     for k, line in enumerate(lines[end + 1 :], end + 1):
         lost = next((n for n in range(columns[0][1]) if _fits(" " * n + line, columns)), None)
         if lost is None:
@@ -293,9 +293,9 @@ def _machine_readable(text, path):
         shifted += [k + 1] * (lost > 0)
         cells = [(" " * lost + line)[a:b].strip() for a, b, *_ in columns]
         nones = [none for *_, none in columns]
-        out[k] = "\t".join("" if c == n else c for c, n in zip(cells, nones, strict=True))
+        out[k] = ["" if c == n else c for c, n in zip(cells, nones, strict=True)]
     note = f"{len(shifted)} row(s) have lost blanks at their beginning: {listed(shifted, 8)}"
-    return "\n".join(out) + "\n", (note,) * bool(shifted)
+    return out, (note,) * bool(shifted)
 
 
 def _fits(line, columns):
@@ -322,7 +322,7 @@ def _ecsv(text, path):
             delimiter = found[1].strip("'\"")
     names, *rows = csv.reader([line for line in lines[above:] if line.strip()], delimiter=delimiter)
     header = [f"{name} ({units[name]})" if units.get(name) else name for name in names]
-    return "\n".join("\t".join(cells) for cells in (header, *rows)) + "\n"
+    return [header, *rows]
 
 
 _KNOWN = {
@@ -368,7 +368,8 @@ def without_preamble(text, path):
     plain, text = _rule(text)
     try:
         made = plain(text, path)
-        return made if isinstance(made, tuple) else (made, ())
+        made, notes = made if isinstance(made, tuple) else (made, ())
+        return made if isinstance(made, str) else tabbed(made), notes
     except (LookupError, ValueError, StopIteration, TypeError) as error:
         raise DataError(
             f"the file begins as {text.splitlines()[0][:30]!r}, and its preamble cannot be read "

@@ -4,34 +4,68 @@ A column is taken for one where its word and its unit agree and it does not chan
 what only may be one is named where a mass turns out to be needed.
 """
 
-import re
 from dataclasses import replace
 
 from bsp_gp.data.headings import property_of_words
-from bsp_gp.data.roster import WITHIN, tracks_of
+from bsp_gp.data.notes import quoted
+from bsp_gp.data.table import less
 from bsp_gp.errors import in_python
 
+WITHIN = ("mass", "charge")
+"""Properties that a table of tracks may say itself, where it says their unit."""
 
-def with_properties_by_words(table, units):
-    """The table with such columns under the names that properties have with us, and notes of them.
+
+def roster_within(table, units):
+    """The bodies of a table of tracks that says itself what their masses are.
 
     Parameters
     ----------
     units : mapping of str to str
         That are declared; a column with a unit under its own name is an input of laws.
+
+    Returns
+    -------
+    roster : Table or None
+        None where no column is a property of bodies.
+    table : Table
+        Without those columns.
+
+    Raises
+    ------
+    DataError
+        If a column whose unit is declared changes along a track.
     """
-    for name in (name for name in WITHIN if name not in table.frame.columns):
-        found = [column for column in table.unused if _may_be(table, column, name, units)]
-        if len(found) == 1:
-            table = _renamed(table, found[0], name)
-    return table
+    for name in (name for name in WITHIN if name not in table):
+        able = [column for column in table.unused if _may_be(table, column, name, units)]
+        table = _renamed(table, able[0], name) if len(able) == 1 else table
+    found = []
+    for column in (name for name in WITHIN if name in table and name in {*units, *table.units}):
+        moved = _moved(table, column)  # without a unit, of trackpy, a mass is a brightness
+        if not moved:
+            found.append(column)
+        elif column in units:
+            line = moved[0].index[(moved[0] != moved[0].iloc[0]).to_numpy()][0]
+            table.fail(
+                f"{column} changes along a track", column,
+                "it is a property of a body; what changes is an input of laws and needs "
+                f"another name, such as {column}_now", row=table.frame.index.get_loc(line),
+            )  # fmt: skip
+    if not found:
+        return None, table
+    owners, frame = table.owners, table.frame
+    bodies = frame[[*owners, *found]].drop_duplicates(owners) if owners else frame[found].iloc[:1]
+    if "entity" not in owners:
+        bodies = bodies.assign(entity=table.title or "object")
+    own = {column: unit for column, unit in table.units.items() if column in found}
+    rest = replace(table, frame=frame.drop(columns=found), unused=less(table.unused, found))
+    return replace(table, frame=bodies, units=own, notes=()), rest
 
 
 def _may_be(table, column, name, units):
     unit = table.units.get(column, "")
     return (
-        column in table.frame.columns and column not in units and (unit or name in units)
-        and property_of_words(column, unit) == name and _is_constant(table.frame, column)
+        column in table and column not in units and (unit or name in units)
+        and property_of_words(column, unit) == name and not _moved(table, column)
     )  # fmt: skip
 
 
@@ -41,15 +75,12 @@ def _renamed(table, column, name):
         f"{theirs!r} is taken for the {name} of the bodies; if it is not that: --columns "
         f"{quoted(theirs)}=ignore"
     )
-    return replace(
-        table, frame=table.frame.rename(columns={column: name}), notes=(*table.notes, note),
-        units={name if c == column else c: unit for c, unit in table.units.items()},
-        unused={name if c == column else c: old for c, old in table.unused.items()},
-    )  # fmt: skip
+    return table.called({column: name}).noted(note)
 
 
-def _is_constant(frame, column):
-    return all(part.nunique(dropna=False) <= 1 for part in tracks_of(frame, column))
+def _moved(table, column):
+    """Tracks along which a column changes."""
+    return [own for own in table.track_by_track(column) if own.nunique(dropna=False) > 1]
 
 
 def unread_masses(table):
@@ -57,7 +88,7 @@ def unread_masses(table):
     found = [
         theirs for column, theirs in table.unused.items()
         if property_of_words(column, table.units.get(column, "")) == "mass"
-        and (column not in table.frame.columns or _is_constant(table.frame, column))
+        and (column not in table or not _moved(table, column))
     ]  # fmt: skip
     if not found:
         return ""
@@ -65,8 +96,3 @@ def unread_masses(table):
         f"the column {found[0]!r}, which is not used, looks like one: --columns "
         f"mass={quoted(found[0])} --units mass=g (or kg)"
     )
-
-
-def quoted(name):
-    """A name of a column as an option takes it."""
-    return name if re.fullmatch(r"\w+", name) else f'"{name}"'

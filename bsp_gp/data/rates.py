@@ -9,41 +9,38 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from bsp_gp.data.clock import slope_on_clock
 from bsp_gp.data.conversion import is_unit, size_of, unit_of
 from bsp_gp.data.headings import (
     is_acceleration,
     is_doubt,
-    is_error_of,
     is_own_speed,
     is_rate,
     words_of,
 )
-from bsp_gp.data.property_columns import quoted
-from bsp_gp.data.roster import numbers_of
+from bsp_gp.data.notes import quoted
 from bsp_gp.data.scene import CHECK, SUMS
-from bsp_gp.data.sight import along_sight, sighted
+from bsp_gp.data.sight import along_sight, error_beside, sighted
 from bsp_gp.data.summed import ACCELERATIONS, VELOCITIES, WHAT, Rates, has_swing, summed
+from bsp_gp.data.table import PLACES, less
 from bsp_gp.data.words import apart, words_for
-from bsp_gp.errors import DataError, in_python
+from bsp_gp.errors import in_python
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
 _LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
 _OF_TURNS = re.compile(r"rad|deg|°|rpm|[^\W\d]+/(?:min|мин)")
 """A rate is one of turns in these units; another may be anything."""
-_WHOLE = frozenset("absolute absolut abs magnitude betrag total norm tgf".split())
+_WHOLE = words_for("whole")
 _SENSORS = {
     "m/s^2": frozenset("accelerometer acceleration".split()),
     "rad/s": frozenset("gyroscope gyro gyroskop".split()),
     "": frozenset("gravity magnetometer magnetic".split()),
 }
 """Unit of what the x, y and z of a telephone's sensor are, and words by which it calls the file."""
-_OF_SENSORS = frozenset("total linear uncalibrated raw data sensor log".split())
+_OF_SENSORS = words_for("of_sensors")
 _OF_PHONES = "seconds_elapsed"
 """A column that only loggers of telephones write."""
-PLACES = frozenset(("x", "y", "z", "ra", "dec", "distance", "angle"))
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
 ALIKE, LEAST_ALIKE = 0.95, 10
 """Correlation of the steps of a column and of what a velocity foresees, and rows of it, from which
@@ -71,7 +68,7 @@ def from_rates(table, declaration):
     table = _by_its_file(table, declaration)
     columns = set(map(str, table.frame.columns))
     has_clock = "t" in columns or "frame" in columns
-    if not has_clock or (columns & PLACES and not _misnamed(table, declaration)):
+    if not has_clock or (columns & {*PLACES} and not _misnamed(table, declaration)):
         return table, declaration
     if "t" not in columns and not (declaration.fps or declaration.dt):
         return table, declaration  # the clock is asked for
@@ -81,12 +78,13 @@ def from_rates(table, declaration):
         found = of_kind(table, declaration)
         if found:
             _require_no_places(table, declaration, found if velocity == VELOCITIES else {})
-            table = _without(table, set(_misnamed(table, declaration)) - set(found.values()))
+            # What shows nothing but noise beside another is not used.
+            table = table.unread(sorted({*_misnamed(table, declaration)} - {*found.values()}))
             if velocity == VELOCITIES:
                 table = _with_errors(table, found)
             else:
                 told = (*_clocks_in(table, found), *_told_shaken(table, declaration, found))
-                table = replace(table, notes=(*table.notes, *told))
+                table = table.noted(*told)
             return summed(table, declaration, _rates(table, declaration, found, velocity))
     return table, declaration
 
@@ -109,20 +107,24 @@ def _by_its_file(table, declaration):
         return table
     if unit:
         note = f"the file is called {name!r}: x, y and z are taken as what it shows, in {unit}"
-        theirs = {f"shown {axis}": table.theirs.get(axis, axis) for axis in "xyz"}
-        return replace(
-            table, frame=table.frame.rename(columns={axis: f"shown {axis}" for axis in "xyz"}),
-            units={**table.units, **dict.fromkeys(theirs, unit)}, unused={**table.unused, **theirs},
-            theirs={n: t for n, t in table.theirs.items() if n not in {*"xyz"}},
-            notes=(*table.notes, note),
-        )  # fmt: skip
+        return _as_shown(table, unit).noted(note)
     if _OF_PHONES in table.present:
-        raise DataError(
-            f"x, y and z of a file that is called {name!r} are no places", file=table.file,
-            column="x", remedy="give what the accelerometer or the gyroscope has logged; if they "
-            "are places, say so: --columns x=x y=y z=z",
+        table.fail(
+            f"x, y and z of a file that is called {name!r} are no places", "x",
+            "give what the accelerometer or the gyroscope has logged; if they are places, say so: "
+            "--columns x=x y=y z=z",
         )  # fmt: skip
     return table
+
+
+def _as_shown(table, unit):
+    """The table with x, y and z as columns of a sensor, of which nobody has said what they are."""
+    shown = {f"shown {axis}": table.heading(axis) for axis in "xyz"}
+    table = table.called({axis: f"shown {axis}" for axis in "xyz"})
+    return replace(
+        table, units={**table.units, **dict.fromkeys(shown, unit)},
+        unused={**table.unused, **shown}, theirs=less(table.theirs, shown),
+    )  # fmt: skip
 
 
 def _sensor_called(name, is_of_phone):
@@ -143,10 +145,9 @@ def _refuse_unknown_sensor(table):
     axes = [text for text in table.present if text in ("x", "y", "z")]
     if _OF_PHONES in table.present and axes == ["z", "y", "x"]:
         units = " ".join(f"{axis}=m/s^2" for axis in "xyz")
-        raise DataError(
+        table.fail(
             "z, y and x are what a sensor of a telephone shows, and the file is not called as one",
-            file=table.file, column="x",
-            remedy=f"say which it is by its unit: --units {units} of an accelerometer, rad/s of a "
+            "x", f"say which it is by its unit: --units {units} of an accelerometer, rad/s of a "
             "gyroscope; if they are places, --columns x=x y=y z=z",
         )  # fmt: skip
 
@@ -156,22 +157,22 @@ def _require_no_places(table, declaration, found):
     columns, said = set(table.frame.columns), {f"v{axis}" for axis in found}
     if "t" not in columns or {"scene", "entity"} & columns or said & set(declaration.columns):
         return
-    steps, places = np.diff(numbers_of(table, "t")), {}
+    steps, places = np.diff(table.numbers("t")), {}
     others = [n for n in table.unused if n in columns and not table.units.get(n)]
     for axis, column in found.items():
-        speed = numbers_of(table, column)
+        speed = table.numbers(column)
         gone = (speed[1:] + speed[:-1]) / 2 * steps
-        alike = {n: _likeness(np.diff(numbers_of(table, n)), gone) for n in others
-                 if n != column and pd.api.types.is_numeric_dtype(table.frame[n])}  # fmt: skip
+        alike = {n: _likeness(np.diff(table.numbers(n)), gone) for n in others
+                 if n != column and table.is_numeric(n)}  # fmt: skip
         best = max(alike, key=alike.get, default="")
         if best and alike[best] > ALIKE:
             places[axis] = table.unused[best]
     if places:
         options = " ".join(f'{axis}="{text}"' for axis, text in places.items())
-        raise DataError(
+        table.fail(
             f"there are velocities, and {', '.join(map(repr, places.values()))} changes as they "
-            "say: these are the places", file=table.file, column=next(iter(places)),
-            remedy=f"name them: --columns {options}; or leave them out: "
+            "say: these are the places", next(iter(places)),
+            f"name them: --columns {options}; or leave them out: "
             f'--columns "{next(iter(places.values()))}"=ignore',
         )  # fmt: skip
 
@@ -189,22 +190,12 @@ def _clocks_in(table, found):
     """Checks of what is named as an acceleration and goes up with the time from row to row."""
     if "t" not in table.frame.columns:
         return ()
-    times = numbers_of(table, "t")
-    theirs = {axis: table.theirs.get(name, name) for axis, name in found.items()}
+    times = table.numbers("t")
+    theirs = {axis: table.heading(name) for axis, name in found.items()}
     return tuple(
         f"{CHECK}{theirs[axis]!r} increases with the time from row to row: it is a clock rather "
         f"than an acceleration a{axis}, and the axes may be the columns behind it"
-        for axis, name in found.items() if slope_on_clock(times, numbers_of(table, name))
-    )  # fmt: skip
-
-
-def _without(table, columns):
-    """The table without columns that show nothing but noise beside another."""
-    left = {name: table.theirs.get(name, name) for name in sorted(columns)}
-    return replace(
-        table, frame=table.frame.drop(columns=list(left)), unused={**table.unused, **left},
-        units={name: unit for name, unit in table.units.items() if name not in left},
-        theirs={name: text for name, text in table.theirs.items() if name not in left},
+        for axis, name in found.items() if slope_on_clock(times, table.numbers(name))
     )  # fmt: skip
 
 
@@ -212,30 +203,28 @@ def _with_errors(table, found):
     """The table with the error of its one velocity under our name, where one column says it."""
     (axis, own), *more = found.items()
     unit, heading = table.units.get(own, ""), table.unused.get(own, own)
-    errors = [
-        name for name, text in table.unused.items()
-        if name in table.frame and is_error_of(text, heading)
-        and table.units.get(name, unit) == unit
-        and pd.api.types.is_numeric_dtype(table.frame[name])
-    ]  # fmt: skip
-    if more or len(errors) != 1 or f"sv{axis}" in table.frame:
+    error = error_beside(table, own, heading, unit)
+    if more or not error or f"sv{axis}" in table:
         return table
-    (error,) = errors
+    note = f"{table.unused[error]!r} is taken as the error of the velocity"
     return replace(
         table, frame=table.frame.rename(columns={error: f"sv{axis}"}),
-        unused={name: text for name, text in table.unused.items() if name != error},
-        units={name: text for name, text in table.units.items() if name != error},
-        notes=(*table.notes, f"{table.unused[error]!r} is taken as the error of the velocity"),
-    )  # fmt: skip
+        units=less(table.units, [error]), unused=less(table.unused, [error]),
+    ).noted(note)  # fmt: skip
 
 
 def _misnamed(table, declaration):
     """Axis -> unit of columns x, y, z where all have units of a sensor's: no places of a body."""
-    if "length" in declaration.units or PLACES.difference("xyz") & set(table.frame.columns):
+    if "length" in declaration.units or ({*PLACES} - {*"xyz"}) & {*table.columns}:
         return {}
-    units = {n: declaration.units.get(n, table.units.get(n, "")) for n in "xyz" if n in table.frame}
+    units = _units_of(table, declaration, table.axes)
     same = {unit_of(unit) if _is_rate(unit) else None for unit in units.values()}
     return units if len(same) == 1 and None not in same else {}
+
+
+def _units_of(table, declaration, columns):
+    """Units of columns as declared, or as in the header; "" where there is none."""
+    return {name: declaration.units.get(name, table.units.get(name, "")) for name in columns}
 
 
 def _of_sensor(table, declaration, is_kind):
@@ -250,15 +239,15 @@ def _is_rate(unit):
 
 def _velocities(table, declaration):
     """Axis -> column of velocities; empty where there is none."""
-    columns = list(map(str, table.frame.columns))
+    columns = table.columns
     known = {axis: f"v{axis}" for axis in "xyz" if f"v{axis}" in columns}
     if known:  # along one axis it does not matter which it is
         return {"x": known["z"]} if list(known) == ["z"] else known
     turned = _of_sensor(table, declaration, lambda unit: _is_turn("", unit))
     if turned:
         return _moved(table, turned)
-    units = {name: declaration.units.get(name, table.units.get(name, "")) for name in columns}
-    theirs = {name: table.theirs.get(name, table.unused.get(name, name)) for name in columns}
+    units = _units_of(table, declaration, columns)
+    theirs = {name: table.heading(name) for name in columns}
     others = [n for n in table.unused if n in columns and not is_own_speed(theirs[n])]
     if any(_is(units[n], _LENGTH) or _words(theirs[n]) & _ON_MAPS for n in others):
         return {}  # they may be the places
@@ -295,10 +284,9 @@ def _require_right_unit(table, declaration, theirs):
     (name, first), *_ = odd.items()
     unit = table.units.get(name, "m/s")
     options = " ".join(f"{quoted(n)}={unit}^2" for n in odd)
-    raise DataError(
-        f"{first!r} speaks of an acceleration, and {unit} is a unit of velocities", file=table.file,
-        column=first,
-        remedy=f"say which it is: --units {options} of accelerations, or --units "
+    table.fail(
+        f"{first!r} speaks of an acceleration, and {unit} is a unit of velocities", first,
+        f"say which it is: --units {options} of accelerations, or --units "
         f"{options.replace('^2', '')} of velocities",
     )  # fmt: skip
 
@@ -320,7 +308,7 @@ def _is_shaken(table, found):
     lone = _lone(table, names)
     if len(names) < 2 or len(lone) > 1:
         return False
-    values = np.stack([numbers_of(table, name) for name in names], axis=1)
+    values = np.stack([table.numbers(name) for name in names], axis=1)
     values = values[np.isfinite(values).all(axis=1)]
     own = names.index(lone[0])
     if len(values) < LEAST_ALIKE or has_swing(values[:, [own]]):
@@ -335,7 +323,7 @@ def _told_shaken(table, declaration, found):
     if is_said or not _is_shaken(table, found):
         return ()
     (name,) = _lone(table, list(found.values()))
-    text = table.theirs.get(name, table.unused.get(name, name))
+    text = table.heading(name)
     return (in_python(
         f"accelerations are by far the largest in {text!r}, but what adds up is along others as "
         f"well: all axes are kept; --columns ax={quoted(text)} takes one"
@@ -344,15 +332,15 @@ def _told_shaken(table, declaration, found):
 
 def _all_accelerations(table, declaration):
     """Axis -> column of accelerations, of all axes of a sensor; empty where there is none."""
-    columns = list(map(str, table.frame.columns))
+    columns = table.columns
     known = {axis: f"a{axis}" for axis in "xyz" if f"a{axis}" in declaration.columns}
     if known:
         return known
     pushed = _of_sensor(table, declaration, lambda unit: _is(unit, ACCELERATION))
     if pushed:
         return pushed
-    units = {name: declaration.units.get(name, table.units.get(name, "")) for name in columns}
-    theirs = {name: table.theirs.get(name, table.unused.get(name, name)) for name in columns}
+    units = _units_of(table, declaration, columns)
+    theirs = {name: table.heading(name) for name in columns}
     rest = [name for name in columns if name in table.unused]
     if any(_is(units[n], _LENGTH) or _is(units[n], _SPEED) for n in rest):
         return {}  # they say more
@@ -382,10 +370,9 @@ def _refuse_several(table, headings, velocity):
     """DataError where it is not known which column is the velocity, or the acceleration."""
     one, _ = WHAT[velocity]
     x, y, z = (one[0] + axis for axis in "xyz")
-    raise DataError(
-        f"there are no places, and several columns may be the {one}: {', '.join(headings)}",
-        file=table.file, column=x,
-        remedy=f'say which is: --columns {x}="{headings[0]}" (and {y}=, {z}=)',
+    table.fail(
+        f"there are no places, and several columns may be the {one}: {', '.join(headings)}", x,
+        f'say which is: --columns {x}="{headings[0]}" (and {y}=, {z}=)',
     )  # fmt: skip
 
 
@@ -412,7 +399,7 @@ def _is_turn(heading, unit):
 
 def _lone(table, columns):
     """The axis about which all turns, if that is one; else all of them."""
-    sizes = [float(np.nanvar(numbers_of(table, name))) for name in columns]
+    sizes = [float(np.nanvar(table.numbers(name))) for name in columns]
     best = int(np.argmax(sizes)) if sizes else 0
     rest = [size for k, size in enumerate(sizes) if k != best]
     is_lone = sizes and max(rest, default=0.0) < LONE * sizes[best]
@@ -421,12 +408,12 @@ def _lone(table, columns):
 
 def _rates(table, declaration, found, velocity):
     """What columns are added up, in which units."""
-    headings = tuple(table.theirs.get(n, table.unused.get(n, n)) for n in found.values())
+    headings = tuple(map(table.heading, found.values()))
     scale, units = _scale(table, declaration, found, velocity)
     if velocity == VELOCITIES:
         return Rates(found, velocity, scale, units, headings)
     sensed = _all_accelerations(table, declaration).values()
-    sensed = {n: table.theirs.get(n, table.unused.get(n, n)) for n in sensed}
+    sensed = {name: table.heading(name) for name in sensed}
     metric = _metric(table, declaration, found)
     return Rates(found, velocity, scale, units, headings, sensed, metric)
 
@@ -459,9 +446,9 @@ def _scale(table, declaration, found, velocity):
     if not texts:
         return clock, {}  # what has no unit is per second
     if len(texts) > 1:
-        raise DataError(
-            f"{many} have different units: {', '.join(sorted(texts))}", file=table.file,
-            column=next(iter(found.values())), remedy="give all of them in one",
+        table.fail(
+            f"{many} have different units: {', '.join(sorted(texts))}", next(iter(found.values())),
+            "give all of them in one",
         )  # fmt: skip
     (text,) = texts
     of_turns = _RATE if order == 1 else _RATE / Unit.of(s=1)

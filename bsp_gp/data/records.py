@@ -1,13 +1,12 @@
 """Tables written as JSON: a list of records, records line by line, or columns by name."""
 
-import csv
-import io
 import json
 from pathlib import Path
 
 import numpy as np
 
 from bsp_gp.data.arrays import longest
+from bsp_gp.data.header_lines import tabbed
 from bsp_gp.errors import DataError
 
 ENDINGS = (".json", ".jsonl", ".ndjson")
@@ -43,11 +42,7 @@ def as_table(text, path):
     names = list(dict.fromkeys(name for record in records for name in record))
     if not names:
         raise DataError("the file has no records", file=path, remedy=_REMEDY)
-    out = io.StringIO()
-    writer = csv.writer(out, delimiter="\t", lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([record.get(name, "") for name in names] for record in records)
-    return out.getvalue()
+    return tabbed([names, *([record.get(name, "") for name in names] for record in records)])
 
 
 def told_of_record(error, path):

@@ -2,22 +2,15 @@
 
 import math
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.conversion import is_unit, unit_of
 from bsp_gp.data.scene import PROPERTY_UNITS, SHAPES, Entity
-from bsp_gp.errors import DataError
-from bsp_gp.units import Unit
 
 OWN_COLUMNS = ("entity", "scene", "shape", "radius", "width", "height", "dynamic")
-_IN_BRACKETS = re.compile(r"(.*?)\s*[(\[]([^()\[\]]+)[)\]]\s*")
-WITHIN = ("mass", "charge")
-"""Properties that a table of tracks may say itself, where it says their unit."""
 ABSURD = 1e150
-GAP = "leave the whole row out to mark a gap in the track"
 STATE_NAMES = {"p": "position", "v": "velocity", "s": "shape"}
 """What laws call so; a property of that name could not be told from it."""
 
@@ -48,116 +41,6 @@ class Roster:
         return self.rows.get((None, name)) if found is None else found
 
 
-def numbers_of(table, column):
-    """A column as floats, nan where a cell is empty, shape (n,); DataError for texts."""
-    try:
-        return table.frame[column].to_numpy(dtype=float, na_value=np.nan)
-    except (ValueError, TypeError) as error:
-        raise DataError(f"expected numbers: {error}", file=table.file, column=column) from error
-
-
-def fail_at(table, problem, k, column, remedy=None):
-    """Raise a DataError about the k-th row of a table."""
-    line = int(table.frame.index[k])
-    raise DataError(problem, file=table.file, row=line, column=column, remedy=remedy)
-
-
-def require_columns(table, needed, along=()):
-    """Complain about the first column that is missing; `along` may be places of several bodies."""
-    missing = [column for column in needed if column not in table.frame.columns]
-    if missing:
-        present = table.present or tuple(map(str, table.frame.columns))
-        options = " ".join(f'{column}="..."' for column in missing)
-        lengths = [text for name, text in table.unused.items()
-                   if unit_of(table.units.get(name, "1")) == Unit.of(m=1)]  # fmt: skip
-        if missing == ["x", "y"] and len(lengths) == 1:
-            options = f'x="{lengths[0]}" (or y= of a height)'
-        elif "x" in missing:
-            named = [*along, '"..."', '"..."']
-            options += f" (of bodies side by side, BODY_x={named[0]} OTHER_x={named[1]}"
-            options += '; of speeds alone, vx="...")'
-        is_data = sum(_is_number(cell) for cell in present) >= len(present) / 2
-        strange = "".join(f"; {h!r} has no unit that is known" for h in present if _is_strange(h))
-        raise DataError(
-            f"the header has no column {missing[0]!r}; present are {', '.join(present)}"
-            + ("; it looks like a row of data, so line 1 is no header" if is_data else "")
-            + strange,
-            file=table.file,
-            column=missing[0],
-            remedy=f"add it, or say which it is: --columns {options}, in dataset.toml [columns]",
-        )
-
-
-def _is_strange(heading):
-    """Whether what a heading has in the place of a unit is none, beside the name of a place."""
-    match = _IN_BRACKETS.fullmatch(heading)
-    return bool(match and re.search(r"(?i)(^|[\W_])[xyz]$", match[1]) and not is_unit(match[2]))
-
-
-def _is_number(text):
-    """Whether a heading is a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def tracks_of(frame, column):
-    """A column track by track."""
-    keys = [name for name in ("scene", "entity") if name in frame.columns]
-    if not keys:
-        return [frame[column]]
-    return [part for _, part in frame.groupby(keys, sort=False)[column]]
-
-
-def roster_within(table, units):
-    """The bodies of a table of tracks that says itself what their masses are.
-
-    Parameters
-    ----------
-    units : mapping of str to str
-        That are declared.
-
-    Returns
-    -------
-    roster : Table or None
-        None where no column is a property of bodies.
-    table : Table
-        Without those columns.
-
-    Raises
-    ------
-    DataError
-        If a column whose unit is declared changes along a track.
-    """
-    frame, found = table.frame, []
-    keys = [name for name in ("scene", "entity") if name in frame.columns]
-    for column in (name for name in WITHIN if name in frame.columns):
-        if not {column} & {*units, *table.units}:
-            continue  # of trackpy a mass is a brightness
-        moved = [part for part in tracks_of(frame, column) if part.nunique(dropna=False) > 1]
-        if not moved:
-            found.append(column)
-        elif column in units:
-            line = moved[0].index[(moved[0] != moved[0].iloc[0]).to_numpy()][0]
-            raise DataError(
-                f"{column} changes along a track", file=table.file, row=int(line), column=column,
-                remedy="it is a property of a body; what changes is an input of laws and needs "
-                f"another name, such as {column}_now",
-            )  # fmt: skip
-    if not found:
-        return None, table
-    bodies = frame[[*keys, *found]].drop_duplicates(keys) if keys else frame[found].iloc[:1]
-    if "entity" not in keys:
-        bodies = bodies.assign(entity=table.title or "object")
-    roster = replace(
-        table, frame=bodies, units={c: u for c, u in table.units.items() if c in found}, notes=()
-    )
-    unused = {name: theirs for name, theirs in table.unused.items() if name not in found}
-    return roster, replace(table, frame=frame.drop(columns=found), unused=unused)
-
-
 def read_roster(table, conversion, *, coded=()):
     """Make the roster from the table of ``entities.csv``.
 
@@ -168,7 +51,7 @@ def read_roster(table, conversion, *, coded=()):
     coded : iterable of str
         Text columns to keep, as numbers 0, 1, … in order of appearance (``share = COLUMN``).
     """
-    require_columns(table, ["entity"])
+    table.require(["entity"])
     reader = _RosterReader(table, conversion)
     names, scenes = reader.names("entity"), reader.names("scene", is_blank_allowed=True)
     rows = {}
@@ -215,7 +98,7 @@ class _RosterReader:
         self.notes = []
 
     def fail(self, problem, k, column, remedy=None):
-        fail_at(self.table, problem, k, column, remedy)
+        self.table.fail(problem, column, remedy, row=k)
 
     def names(self, column, is_blank_allowed=False):
         if column not in self.frame:

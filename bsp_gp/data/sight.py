@@ -20,28 +20,28 @@ from bsp_gp.data.headings import (
     is_own_speed,
     words_of,
 )
+from bsp_gp.data.notes import quoted
 from bsp_gp.data.polar import POLAR_ALIASES
 from bsp_gp.data.polar_words import is_julian
-from bsp_gp.data.property_columns import quoted
-from bsp_gp.data.roster import numbers_of
 from bsp_gp.data.scene import CHECK, SIGHT
-from bsp_gp.data.sniffing import MOST_INSTRUMENTS, MOST_SHOWN
+from bsp_gp.data.sniffing import MOST_SHOWN
 from bsp_gp.data.stars import with_date_unit
-from bsp_gp.errors import DataError, in_python
+from bsp_gp.data.table import PLACES, less
+from bsp_gp.data.unnamed import LEAST_DATE, MOST_INSTRUMENTS
+from bsp_gp.data.words import words_for
+from bsp_gp.errors import in_python
 from bsp_gp.units import is_speed
 
 FEWEST = 4
 """Rows of an instrument that tell more than its zero."""
 SIGHT_NAMES = ("rv", "srv")
 """How a caller names velocities along the line of sight, and their errors."""
-LEAST_DATE, UNEVEN = 1000.0, 3.0
-"""Days that Julian dates count from a later zero, at the least; upper quartile of the steps between
-nights, in their lower one, at the least."""
+UNEVEN = 3.0
+"""Upper quartile of the steps between nights, in their lower one, at the least."""
 SUREST = 0.1
 """Errors below which numbers without a unit are km/s: no spectrograph knows m/s so well."""
-_ERRORS = frozenset("errvel velerr svrad sigrv rverr errrv erv urv rvunc drv ccfnoise".split())
-_OF_SPECTRA = frozenset("drift bis biss bisector span contrast fwhm".split())
-"""Words of what is measured beside such a velocity, of the lines and of the spectrograph."""
+_ERRORS = words_for("error_of_radial")
+_OF_SPECTRA = words_for("spectrum")
 
 
 def sighted(table):
@@ -54,7 +54,7 @@ def sighted(table):
     """
     if SIGHT_NAMES[0] in table.frame:
         return SIGHT_NAMES[0]
-    texts = {n: table.theirs.get(n, table.unused.get(n, n)) for n in map(str, table.frame.columns)}
+    texts = {name: table.heading(name) for name in table.columns}
     named = {name: text for name, text in texts.items() if is_of_sight(text)}
     found = {
         name: text for name, text in named.items()
@@ -62,15 +62,11 @@ def sighted(table):
     }  # fmt: skip
     if len(found) > 1:
         (name, text), listed = next(iter(found.items())), ", ".join(found.values())
-        raise DataError(
-            f"several columns may be velocities along the line of sight: {listed}",
-            file=table.file, column=name, remedy=f'say which is meant: --columns rv="{text}"',
+        table.fail(
+            f"several columns may be velocities along the line of sight: {listed}", name,
+            f'say which is meant: --columns rv="{text}"',
         )  # fmt: skip
     return next(iter(found), "") or _of_nights(table, texts)
-
-
-_PLACES = ("x", "y", "z", "ra", "dec", "distance", "angle")
-"""Columns of places, of which those of errors have an s before them."""
 
 
 def instead_of_places(table, declaration):
@@ -84,41 +80,33 @@ def instead_of_places(table, declaration):
     DataError
         Where the caller names places as well.
     """
-    beside = [f"{s}{name}" for name in _PLACES for s in ("", "s") if f"{s}{name}" in table.frame]
+    beside = [f"{s}{name}" for name in PLACES for s in ("", "s") if f"{s}{name}" in table]
     if SIGHT_NAMES[0] not in declaration.columns:
-        return _told_of_velocities(table, [name for name in beside if name in _PLACES])
+        return _told_of_velocities(table, [name for name in beside if name in PLACES])
     if SIGHT_NAMES[0] not in table.frame or not beside:
         return table
-    theirs = {name: table.theirs.get(name, name) for name in beside}
+    theirs = {name: table.heading(name) for name in beside}
     named = {POLAR_ALIASES.get(name, name) for name in declaration.columns}
     said = [name for name in beside if name in named]
     if said:
-        raise DataError(
+        table.fail(
             f"{', '.join(theirs[name] for name in said)} and velocities along the line of sight "
-            "are not read at once", file=table.file, column=said[0],
-            remedy="name the places, or the velocities, and leave the others out",
+            "are not read at once", said[0],
+            "name the places, or the velocities, and leave the others out",
         )  # fmt: skip
     seen = table.frame[SIGHT_NAMES[0]].notna()
     note = f"not used, since velocities are named: {', '.join(theirs.values())}"
     note += f", and {int((~seen).sum())} row(s) without a velocity" * bool((~seen).any())
-    return replace(
-        table, frame=table.frame[seen].drop(columns=beside), notes=(*_unguessed(table), note),
-        theirs={name: text for name, text in table.theirs.items() if name not in beside},
-        units={name: unit for name, unit in table.units.items() if name not in beside},
-    )  # fmt: skip
-
-
-def _unguessed(table):
-    """Notes of a table but that of what was guessed by words: places that are gone were."""
-    return [note for note in table.notes if not note.startswith(BY_WORDS)]
+    # Places that are gone were guessed by their words.
+    notes = tuple(note for note in table.notes if not note.startswith(BY_WORDS))
+    return replace(table.of_rows(seen).without(beside), notes=(*notes, note))
 
 
 def _told_of_velocities(table, places):
     """The table with a check where more rows have such a velocity than a place."""
     own = [
         (name, text) for name, text in table.unused.items()
-        if name in table.frame and is_of_sight(text)
-        and pd.api.types.is_numeric_dtype(table.frame[name])
+        if name in table and is_of_sight(text) and table.is_numeric(name)
     ]  # fmt: skip
     own = [each for each in own if not any(_is_its_error(each[1], of) for _, of in own
                                            if of != each[1])]  # fmt: skip
@@ -129,13 +117,13 @@ def _told_of_velocities(table, places):
     n_placed = int(table.frame[places].notna().all(axis=1).sum())
     if seen.sum() <= n_placed:
         return table
-    error = _error_of(table, name, text, table.units.get(name, ""))
+    error = error_beside(table, name, text, table.units.get(name, ""))
     options = f"rv={quoted(text)}" + f" srv={quoted(table.unused[error])}" * (error in table.unused)
     note = in_python(
         f"{CHECK}{n_placed} row(s) with places are read, and {int(seen.sum())} with velocities "
         f"along the line of sight ({text!r}) are not: --columns {options} reads these instead"
     )
-    return replace(table, notes=(*table.notes, note))
+    return table.noted(note)
 
 
 def _of_nights(table, texts):
@@ -186,12 +174,12 @@ def along_sight(table, declaration, column):
     DataError
         If their unit is none of a speed, or no instrument has rows enough.
     """
-    heading = table.theirs.get(column, table.unused.get(column, column))
+    heading = table.heading(column)
     said = declaration.units
     unit = said.get(column, said.get("velocity", table.units.get(column, "")))
     notes = [f"{heading!r} is read as velocities along the line of sight: no places are known, and "
              "companions are sought in these"]  # fmt: skip
-    error = _error_of(table, column, heading, unit)
+    error = error_beside(table, column, heading, unit)
     if not unit:
         sure = np.nanmedian(table.frame[error]) if error else np.inf
         unit, other = ("m/s", "km/s") if sure >= SUREST else ("km/s", "m/s")
@@ -201,23 +189,20 @@ def along_sight(table, declaration, column):
             f"--units velocity={other} says otherwise"
         ))  # fmt: skip
     elif not is_speed(unit):
-        raise DataError(
+        table.fail(
             f"{heading!r} is read as a velocity along the line of sight, and {unit!r} is no unit "
-            "of one", file=table.file, column=column, remedy="give it, --units velocity=km/s",
+            "of one", column, "give it, --units velocity=km/s",
         )  # fmt: skip
     table = _with_days(with_date_unit(table, declaration), declaration)
     own = {column: "x"}
     if error:
         own[error] = "sx"
-        theirs = table.theirs.get(error, table.unused.get(error, error))
-        notes.append(f"{theirs!r} is taken as its error")
+        notes.append(f"{table.heading(error)!r} is taken as its error")
     table = replace(
-        table, frame=table.frame.rename(columns=own), notes=(*table.notes, *notes),
-        theirs={**table.theirs, "x": heading},
-        units={name: text for name, text in table.units.items() if name not in own},
-        unused={name: text for name, text in table.unused.items() if name not in own},
-    )  # fmt: skip
-    kept = {name: text for name, text in said.items() if name not in (*own, "velocity")}
+        table, frame=table.frame.rename(columns=own), theirs={**table.theirs, "x": heading},
+        units=less(table.units, own), unused=less(table.unused, own),
+    ).noted(*notes)  # fmt: skip
+    kept = less(said, (*own, "velocity"))
     return _by_instruments(table), replace(
         declaration, velocity=SIGHT, first_velocity="rest", units={**kept, "length": unit}
     )
@@ -229,26 +214,25 @@ def _with_days(table, declaration):
     if "t" not in table.frame or table.is_dated or {"t", "time"} & {*declaration.units}:
         return table
     if {"t", "time"} & {*table.units}:
-        times = numbers_of(table, "t")
+        times = table.numbers("t")
         if not is_julian(theirs) or not are_within(np.nanmin(times), np.nanmax(times), (YEARS,)):
             return table
         note = in_python(f"{CHECK}{theirs!r} is taken as days, and has numbers such as decimal "
                          "years: if they are these, --units t=yr")  # fmt: skip
-        return replace(table, notes=(*table.notes, note))
+        return table.noted(note)
     note = in_python(f"{CHECK}column {theirs!r} has no unit: days are taken; --units time=UNIT "
                      "says otherwise")  # fmt: skip
-    return replace(table, units={**table.units, "t": "day"}, notes=(*table.notes, note))
+    return replace(table, units={**table.units, "t": "day"}).noted(note)
 
 
-def _error_of(table, column, heading, unit):
+def error_beside(table, column, heading, unit):
     """The one column of numbers that says how sure each velocity is; "" where none does."""
-    if SIGHT_NAMES[1] in table.frame or "sx" in table.frame:
-        return SIGHT_NAMES[1] if SIGHT_NAMES[1] in table.frame else ""
+    if SIGHT_NAMES[1] in table or "sx" in table:
+        return SIGHT_NAMES[1] if SIGHT_NAMES[1] in table else ""
     found = [
         name for name, text in table.unused.items()
         if name != column and name in table.frame and _is_its_error(text, heading)
-        and (not unit or table.units.get(name, unit) == unit)
-        and pd.api.types.is_numeric_dtype(table.frame[name])
+        and (not unit or table.units.get(name, unit) == unit) and table.is_numeric(name)
     ]  # fmt: skip
     return found[0] if len(found) == 1 else ""
 
@@ -270,7 +254,7 @@ def _by_instruments(table):
     if len(names) != 1:
         return _told_of_instruments(table)
     (name,) = names
-    heading = table.theirs.get(name, table.unused.get(name, name))
+    heading = table.heading(name)
     counts = table.frame[name].astype(str).value_counts()
     if not 1 < len(counts) <= MOST_INSTRUMENTS:
         return table
@@ -283,10 +267,9 @@ def _by_instruments(table):
     of = table.frame[name].astype(str)
     frame = table.frame.assign(scene=of)[~of.isin(few)].drop(columns=name)
     return replace(
-        table, frame=frame, notes=(*table.notes, told),
-        theirs={**table.theirs, "scene": heading},
-        unused={k: text for k, text in table.unused.items() if k != name},
-    )  # fmt: skip
+        table, frame=frame, theirs={**table.theirs, "scene": heading},
+        unused=less(table.unused, [name]),
+    ).noted(told)  # fmt: skip
 
 
 def with_zeros_apart(table, declaration):
@@ -295,8 +278,7 @@ def with_zeros_apart(table, declaration):
              and name not in declaration.units]  # fmt: skip
     if len(named) != 1 or "scene" in table.frame or declaration.velocity == SIGHT:
         return table
-    return replace(table, frame=table.frame.rename(columns={named[0]: "scene"}),
-                   theirs={**table.theirs, "scene": table.theirs.get(named[0], named[0])})
+    return table.called({named[0]: "scene"})
 
 
 def _told_of_instruments(table):
@@ -316,4 +298,4 @@ def _told_of_instruments(table):
         f"{CHECK}column {heading!r} has {listed}: where these are the instruments that measured "
         f"each velocity, every one has a zero of its own: --columns instrument={quoted(heading)}"
     )
-    return replace(table, notes=(*table.notes, note))
+    return table.noted(note)

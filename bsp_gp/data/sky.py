@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.noise import grid_steps
-from bsp_gp.data.roster import fail_at, numbers_of, require_columns
+from bsp_gp.data.polar import scale_of_angle
 from bsp_gp.data.scene import CHECK
+from bsp_gp.data.table import less
 from bsp_gp.errors import DataError, UnitError, in_python
 from bsp_gp.units import OF_THE_SKY, Unit, parse_unit
 
@@ -39,86 +40,79 @@ def is_sky(columns):
     return {"ra", "dec"} <= columns and not {"x", "y"} & columns
 
 
-def from_sky(table, units, about=None):
+def from_sky(table, declaration):
     """Put offsets in the place of right ascension and declination, and lengths in that of angles.
 
     Parameters
     ----------
-    units : mapping of str to str
-        ``[units]``. Without ``ra`` and ``dec`` these are degrees, or sexagesimal (hours and
-        degrees); errors without ``sra`` and ``sdec`` are milliarcseconds, that of a right
-        ascension already times the cosine of the declination.
-    about : mapping of str to str, optional
-        ``[sky]``: ``distance = "8.2 kpc"`` or ``parallax = "379.2 mas"``.
+    table : Table
+    declaration : Declaration
+        Without units of ``ra`` and ``dec`` these are degrees, or sexagesimal (hours and degrees);
+        errors without units of ``sra`` and ``sdec`` are milliarcseconds, that of a right ascension
+        already times the cosine of the declination. Its ``sky`` may say how far it is:
+        ``distance = "8.2 kpc"`` or ``parallax = "379.2 mas"``.
 
     Returns
     -------
     table : Table
-    units : dict of str to str
+    declaration : Declaration
+        With units of the places.
 
     Raises
     ------
     DataError
         For a cell that is no angle, places too far apart for a plane, or a distance that is none.
     """
-    about, found = dict(about or {}), {**table.units, **units}
+    units = dict(declaration.units)
     if is_sky(table.frame.columns):
-        table = _without_idle_distance(table, units)
-        is_near = "distance" in table.frame
-        table, units = (_in_space if is_near else _offsets)(table, found, dict(units))
-    distance = _distance(about, table.file)
+        found = {**table.units, **units}
+        table = _without_idle_distance(table)
+        table, units = (_in_space if "distance" in table else _offsets)(table, found, units)
+    distance = _distance(declaration.sky, table.file)
     known = {**table.units, **units}
     places = [c for c in ("x", "y", "z", "sx", "sy", "sz") if c in table.frame.columns]
     lengths = {c: known.get(c, known.get("length", "")).strip() for c in places}
     lengths = {c: text for c, text in lengths.items() if text in OF_THE_SKY}
     if distance is None or not lengths:
         if distance is not None:
-            raise DataError(
-                "[sky] tells how far it is, but lengths are no angles", file=table.file,
-                column="length", remedy='write [units] length = "arcsec" (or mas)',
-            )  # fmt: skip
-        return table, dict(units)
+            table.fail("[sky] tells how far it is, but lengths are no angles", "length",
+                       'write [units] length = "arcsec" (or mas)')  # fmt: skip
+        return table, replace(declaration, units=units)
     au = parse_unit("au")[0]
     scales = {c: parse_unit(text)[0] * distance / au for c, text in lengths.items()}
-    lengths = {c: numbers_of(table, c) * scale for c, scale in scales.items()}
+    lengths = {c: table.numbers(c) * scale for c, scale in scales.items()}
     steps = {c: size * scales.get(c, 1.0) for c, size in table.steps.items()}
-    own = {key: text for key, text in table.units.items() if key not in lengths}
-    new = {key: text for key, text in units.items() if key not in lengths} | {"length": "au"}
     note = f"angles are lengths at a distance of {distance / parse_unit('pc')[0]:.6g} pc, in au"
-    frame = table.frame.assign(**lengths)
-    notes = (*table.notes, note)
-    return replace(table, frame=frame, units=own, notes=notes, steps=steps), new
+    table = replace(table.assigned(**lengths), units=less(table.units, lengths), steps=steps)
+    units = less(units, lengths) | {"length": "au"}
+    return table.noted(note), replace(declaration, units=units)
 
 
-def _without_idle_distance(table, units):
+def _without_idle_distance(table):
     """The table without a distance that is the same in all rows, or has no say beside errors."""
     if "distance" not in table.frame:
         return table
-    far = numbers_of(table, "distance")
+    far = table.numbers("distance")
     is_idle = not np.nanmax(far) > np.nanmin(far) if np.isfinite(far).any() else True
     if not (is_idle or {"sra", "sdec"} & set(table.frame.columns)):
         return table
-    text = table.theirs.get("distance", "distance")
-    return replace(
-        table, frame=table.frame.drop(columns="distance"), notes=(*table.notes, in_python(
-            f"not used: {text}; --sky distance='8.2 kpc' says how far all of it is"
-        )), units={k: unit for k, unit in table.units.items() if k != "distance"},
-        theirs={k: name for k, name in table.theirs.items() if k != "distance"},
-    )  # fmt: skip
+    text = table.heading("distance")
+    return table.without(["distance"]).noted(in_python(
+        f"not used: {text}; --sky distance='8.2 kpc' says how far all of it is"
+    ))  # fmt: skip
 
 
 def _in_space(table, found, units):
     """Places x, y, z of right ascension, declination and a distance, in the unit of that."""
     ra, dec = (_angles(table, name, found.get(name, "")) for name in ("ra", "dec"))
-    far = numbers_of(table, "distance")
+    far = table.numbers("distance")
     if (far <= 0).any():
         k = int((far <= 0).argmax())
-        fail_at(table, f"a distance must be positive, got {far[k]:g}", k, "distance",
-                "leave the cell empty where it is not known")  # fmt: skip
+        table.fail(f"a distance must be positive, got {far[k]:g}", "distance",
+                   "leave the cell empty where it is not known", row=k)  # fmt: skip
     flat = far * np.cos(dec)
     places = {"x": flat * np.cos(ra), "y": flat * np.sin(ra), "z": far * np.sin(dec)}
     gone = (*SKY_COLUMNS, "distance")
-    rest = table.frame.drop(columns=[c for c in gone if c in table.frame.columns])
     of_ra, of_dec, of_far = _printed(table, found, ra=ra, dec=dec, distance=far)
     east, north = of_ra * flat, of_dec * far
     aside = (north * np.sin(dec)) ** 2 + (of_far * np.cos(dec)) ** 2  # of the axis
@@ -129,16 +123,13 @@ def _in_space(table, found, units):
     }
     steps = {axis: math.sqrt(np.nanmean(own)) for axis, own in squares.items()}
     unit = found.get("distance", "")
-    own = {k: text for k, text in table.units.items() if k not in gone}
-    own |= dict.fromkeys(places, unit) if unit and "length" not in units else {}
+    own = dict.fromkeys(places, unit) if unit and "length" not in units else {}
     note = (
         f"{CHECK}right ascension, declination and distance are read as places x, y and z in space, "
         "counted from where they are seen: if that moves, so do they"
     )
-    notes = (*table.notes, note, *_may_be_hours(table, found))
-    units = {k: text for k, text in units.items() if k not in gone}
-    frame = rest.assign(**places)
-    return replace(table, frame=frame, units=own, notes=notes, steps=steps), units
+    table = replace(table, steps=steps).noted(note, _may_be_hours(table, found))
+    return table.instead(gone, places, own), less(units, gone)
 
 
 def _printed(table, found, **columns):
@@ -147,11 +138,8 @@ def _printed(table, found, **columns):
     Places in a plane or in space, which are made of them, are on no grid. Of what is sexagesimal
     the last digit tells it.
     """
-    keys = [name for name in ("scene", "entity") if name in table.frame]
-    n = len(table.frame)
-    owners = table.frame.groupby(keys, sort=False).indices.values() if keys else [np.arange(n)]
     steps = grid_steps([
-        [(own[known], values[own][known]) for own in owners
+        [(own[known], values[own][known]) for own in table.tracks.values()
          if (known := np.isfinite(values[own])).any()] for values in columns.values()
     ])  # fmt: skip
     for k, name in enumerate(columns):
@@ -173,43 +161,39 @@ def _offsets(table, found, units):
     away = np.arccos(np.clip(depth, -1, 1))
     if np.nanmax(away) > _WIDEST:
         k = int(np.nanargmax(away))
-        fail_at(
-            table, f"{np.degrees(away[k]):.3g} degrees from the middle of all places: a plane is "
-            "no picture of so much of the sky", k, "ra",
+        table.fail(
+            f"{np.degrees(away[k]):.3g} degrees from the middle of all places: a plane is no "
+            "picture of so much of the sky", "ra",
             "keep the rows of fewer nights, add a column of how far each is (of JPL Horizons "
             "delta), or give offsets x and y; of JPL Horizons ask for a vector table, or for "
-            "another centre, such as the Sun",
+            "another centre, such as the Sun", row=k,
         )  # fmt: skip
     arcsec = parse_unit("arcsec")[0]
     x = np.cos(dec) * np.sin(turn) / depth / arcsec
     y = (np.cos(middle[1]) * np.sin(dec) - np.sin(middle[1]) * np.cos(dec) * np.cos(turn)) / depth
     new = {"x": x, "y": y / arcsec}
     if {"sra", "sdec"} & set(table.frame.columns):
-        require_columns(table, ["sra", "sdec"])
+        table.require(["sra", "sdec"])
         for ours, theirs in (("sx", "sra"), ("sy", "sdec")):
             scale = _scale(table, theirs, found.get(theirs, "mas"))
-            new[ours] = numbers_of(table, theirs) * scale / arcsec
+            new[ours] = table.numbers(theirs) * scale / arcsec
     of_ra, of_dec = _printed(table, found, ra=ra, dec=dec)
     steps = {"x": of_ra * np.cos(middle[1]) / arcsec, "y": of_dec / arcsec}
-    rest = table.frame.drop(columns=[c for c in SKY_COLUMNS if c in table.frame.columns])
     degrees = f"{math.degrees(middle[0]) % 360:.8f}, {math.degrees(middle[1]):+.8f}"
     note = f"right ascension and declination are offsets to the east and north of ({degrees}) deg"
-    notes = (*table.notes, note, *_may_be_hours(table, found))
-    own = {k: text for k, text in table.units.items() if k not in SKY_COLUMNS}
-    units = {k: text for k, text in units.items() if k not in SKY_COLUMNS} | {"length": "arcsec"}
-    frame = rest.assign(**new)
-    return replace(table, frame=frame, units=own, notes=notes, steps=steps), units
+    table = replace(table, steps=steps).noted(note, _may_be_hours(table, found))
+    return table.instead(SKY_COLUMNS, new, {}), less(units, SKY_COLUMNS) | {"length": "arcsec"}
 
 
 def _may_be_hours(table, found):
     """A check where numbers of right ascensions have no unit and none is beyond a day."""
     values = _plain_numbers(table.frame["ra"])
     if found.get("ra") or values is None or np.nanmin(values) < 0 or np.nanmax(values) >= _DAY:
-        return ()
-    return (in_python(
+        return ""
+    return in_python(
         f"{CHECK}right ascensions have no unit, and all are between 0 and {_DAY:g}: taken as "
         "degrees; if they are hours, --units ra=h, and if they are degrees, --units ra=deg"
-    ),)  # fmt: skip
+    )
 
 
 def _angles(table, column, unit):
@@ -240,23 +224,15 @@ def _degrees(table, column, k, cell):
     match = _SEXAGESIMAL.fullmatch(str(cell).strip())
     if match is None:
         remedy = "write degrees, or 17:45:40.04 and -29:00:28.1"
-        fail_at(table, f"{str(cell)!r:.40} is no angle", k, column, remedy)
+        table.fail(f"{str(cell)!r:.40} is no angle", column, remedy, row=k)
     size = sum(float(part) / 60**n for n, part in enumerate(match.groups()[1:]))
     return -size if match[1] in ("-", "−") else size
 
 
 def _scale(table, column, text):
     """Radians of a unit of angles."""
-    try:
-        scale, unit = parse_unit(text)
-    except UnitError as error:
-        raise DataError(str(error), file=table.file, column=column) from error
-    if not unit.is_dimensionless:
-        raise DataError(
-            f"{text!r} is no unit of an angle", file=table.file, column=column,
-            remedy='give deg, h, arcsec or mas in [units], as in ra = "deg"',
-        )  # fmt: skip
-    return scale
+    remedy = 'give deg, h, arcsec or mas in [units], as in ra = "deg"'
+    return scale_of_angle(table, column, text, remedy)
 
 
 def _distance(about, file):

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bsp_gp.data import arrays, gps, molecules
+from bsp_gp.data.header_lines import tabbed
 from bsp_gp.data.headings import is_run
 from bsp_gp.data.notes import listed
 from bsp_gp.data.preambles import has_preamble, without_preamble
@@ -80,9 +81,15 @@ class Source:
         with self.open() as stream:
             return [line.rstrip("\n") for line in itertools.islice(stream, count)]
 
-    def with_text(self, text, note):
-        """The same with another text, and a note of it."""
-        return replace(self, text=text, counts=_counts(text), notes=(*self.notes, note))
+    def read(self):
+        """The whole text."""
+        with self.open() as stream:
+            return stream.read()
+
+    def with_text(self, text, *notes):
+        """The same with another text, and notes of it."""
+        _require_rows(self.path, text.count("\n"))
+        return replace(self, text=text, counts=_counts(text), notes=(*self.notes, *notes))
 
     @property
     def for_pandas(self):
@@ -99,17 +106,15 @@ class Source:
         first = next((k for k, line in enumerate(head) if _OPENED.fullmatch(line.strip())), None)
         if first is None:
             return self
-        with self.open() as stream:
-            lines = stream.read().split("\n")
+        lines = self.read().split("\n")
         last = next((k for k in range(len(lines) - 1, first, -1) if lines[k].strip()), first)
         if "]" not in lines[last]:
             return self
         for k in range(first, last + 1):
             line = lines[k].strip().removesuffix(",").rstrip(" \t;])")
             lines[k] = line[_OPENING.match(line).end() :] if _OPENING.match(line) else line
-        text = "\n".join(lines)
         note = f"brackets around the rows are left out, from line {first + 1} on"
-        return replace(self, text=text, counts=_counts(text), notes=(*self.notes, note))
+        return self.with_text("\n".join(lines), note)
 
     def without_comments(self, above):
         """The same with blank lines for comments (#) below the header, where few lines are; a note.
@@ -124,16 +129,14 @@ class Source:
         if self.counts[b"#"] <= sum(line.count("#") for line in above):
             return self  # the text is read once more only where there are some
         first = len(above)
-        with self.open() as stream:
-            lines = stream.read().split("\n")
+        lines = self.read().split("\n")
         found = [k for k in range(first, len(lines)) if lines[k].lstrip().startswith("#")]
         if not found or 2 * len(found) > len(lines) - first:
             return self
         for k in found:
             lines[k] = ""
-        text = "\n".join(lines)
         note = f"lines that begin with # are no rows: {len(found)}, the first is {found[0] + 1}"
-        return replace(self, text=text, counts=_counts(text), notes=(*self.notes, note))
+        return self.with_text("\n".join(lines), note)
 
 
 def open_source(path, names=()):
@@ -167,24 +170,29 @@ def open_source(path, names=()):
     if path.suffix.lower() in _WORKBOOKS:
         return _workbook(path)
     if path.suffix.lower() in arrays.ENDINGS:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        return _made(Source(path, digest, {}), *arrays.as_table(path))
+        rows, notes = arrays.as_table(path)
+        return Source(path, _digest(path.read_bytes()), {}).with_text(tabbed(rows), *notes)
     if is_zip(path):
         return _workbook(path) if is_book(path) else _of_archive(path, names)
     source = _with_joined_angles(_text_file(path, names))
-    if path.suffix.lower() in gps.ENDINGS:
-        with source.open() as stream:
-            return _made(source, *gps.of_xml(stream.read(), path))
-    if path.suffix.lower() == gps.OF_GLIDERS:
-        with source.open() as stream:
-            return _made(source, *gps.of_igc(stream.read(), path))
-    if path.suffix.lower() in molecules.ENDINGS and molecules.is_of_frames(source.head(3)):
-        with source.open() as stream:
-            return _made(source, *molecules.of_xyz(stream.read(), path))
-    if path.suffix.lower() in RECORDS or _begins_as_records(source):
-        with source.open() as stream:
-            return _made(source, as_table(stream.read(), path))
+    kind = path.suffix.lower()
+    rows_of = _ROWS_OF.get(kind)
+    if kind in molecules.ENDINGS and molecules.is_of_frames(source.head(3)):
+        rows_of = molecules.of_xyz
+    if rows_of is not None:
+        rows, notes = rows_of(source.read(), path)
+        return source.with_text(tabbed(rows), *notes)
+    if kind in RECORDS or _begins_as_records(source):
+        return source.with_text(as_table(source.read(), path))
     return source
+
+
+_ROWS_OF = {**dict.fromkeys(gps.ENDINGS, gps.of_xml), gps.OF_GLIDERS: gps.of_igc}
+"""What reads files of an ending: text and path to rows and notes."""
+
+
+def _digest(content):
+    return hashlib.sha256(content).hexdigest()
 
 
 def _of_archive(path, names):
@@ -194,21 +202,14 @@ def _of_archive(path, names):
             if is_zip(file) and not is_book(file):
                 raise DataError("it is a ZIP archive itself", remedy="unpack both")
             source = open_source(file, names)
-            with source.open() as stream:
-                text = stream.read()
+            text = source.read()
         except DataError as error:
             raise DataError(
                 error.problem, file=f"{path}, {file.name} in it", row=error.row,
                 column=error.column, remedy=error.remedy,
             ) from None  # fmt: skip
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = _digest(path.read_bytes())
     return Source(path, digest, _counts(text), text=text, notes=(note, *source.notes))
-
-
-def _made(source, text, notes=()):
-    """A source with the table that was made of it, and notes of that."""
-    _require_rows(source.path, text.count("\n"))
-    return replace(source, text=text, counts=_counts(text), notes=(*source.notes, *notes))
 
 
 def _begins_as_records(source):
@@ -276,8 +277,7 @@ def _utf_16(path, names):
     if not text.strip():
         raise DataError("the file is empty", file=path, remedy="a header and rows are needed")
     _require_rows(path, text.count("\n"))
-    digest = hashlib.sha256(content).hexdigest()
-    return _told_apart(Source(path, digest, _counts(text), text=text), names)
+    return _told_apart(Source(path, _digest(content), _counts(text), text=text), names)
 
 
 def _counts(text):
@@ -297,7 +297,7 @@ def _told_apart(source, names):
     own = set(names) - {*header, *(cell.rpartition(" (")[0] for cell in header)}
     if plain == text or own and any(own <= _cells_of(line) for line in text.splitlines()[:_HEADER]):
         return source
-    return replace(source, text=plain, counts=_counts(plain), notes=(*source.notes, *notes))
+    return source.with_text(plain, *notes)
 
 
 _NUMBERED = re.compile(r'("?Column\d+"?[,;\t]?)+\s*')
@@ -314,10 +314,8 @@ def _without_numbered_names(source, names):
         return source
     if {*names} & _cells_of(first):
         return source
-    with source.open() as stream:
-        text = stream.read().removeprefix(first)
     note = "line 1 (Column1, Column2 ...) is of a spreadsheet, and names nothing"
-    return replace(source, text=text, counts=_counts(text), notes=(*source.notes, note))
+    return source.with_text(source.read().removeprefix(first), note)
 
 
 _ANGLES = {("RAh", "RAm", "RAs"): "ra", ("DE-", "DEd", "DEm", "DEs"): "dec"}
@@ -342,7 +340,7 @@ def _with_joined_angles(source):
             row[k : k + n] = [" ".join(signed).strip() if row is not rows[number] else name]
     out = io.StringIO()
     csv.writer(out, delimiter=mark, lineterminator="\n").writerows(rows)
-    return _made(source, out.getvalue(), (f"columns such as {', '.join(parts)} are one angle",))
+    return source.with_text(out.getvalue(), f"columns such as {', '.join(parts)} are one angle")
 
 
 def _bare(text):
@@ -445,17 +443,15 @@ def _workbook(path):
     sheets = whole
     alike = _with_one_header(sheets, filled)
     rows = _below_each_other(sheets, alike) if len(alike) > 1 else sheets[filled[0]]
-    out = io.StringIO()
-    csv.writer(out, delimiter="\t", lineterminator="\n").writerows(rows)
-    text = out.getvalue()
+    text = tabbed(rows)
     unread = [title for title in filled if title not in (alike or filled[:1])]
     told = listed(list(map(repr, unread)))
     notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {told}",) if unread else ()
     if len(alike) > 1:
         more = f", not {told}" if unread else ""
         notes = (f"{len(alike)} sheets of {path.name} with one header are recordings{more}", *made)
-    digest = hashlib.sha256(content).hexdigest()
-    return Source(path, digest, _counts(text), text=text, notes=notes, is_of_sheets=len(alike) > 1)
+    return Source(path, _digest(content), _counts(text), text=text, notes=notes,
+                  is_of_sheets=len(alike) > 1)  # fmt: skip
 
 
 def _with_headers(sheets, filled):

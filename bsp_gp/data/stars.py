@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.data.extent import JULIAN, MODIFIED, YEARS
+from bsp_gp.data.notes import listed, quoted
 from bsp_gp.data.polar import POLAR_ALIASES, is_polar
 from bsp_gp.data.polar_words import (
     date_unit,
@@ -62,7 +63,7 @@ def read_stars(table, declaration):
                 "angle_turns": declaration.angle_turns or "clockwise"}  # fmt: skip
     theirs = {_ALIAS.get(name, name): text for name, text in table.theirs.items()}
     options = " ".join(
-        f"{name}={_quoted(table.theirs[name])}" for name in ("distance", "angle")
+        f"{name}={quoted(table.theirs[name])}" for name in ("distance", "angle")
         if name in table.theirs
     )  # fmt: skip
     note = in_python(
@@ -71,16 +72,11 @@ def read_stars(table, declaration):
         "at rest at the origin; if nothing is at "
         f"the origin and angles count from x to y, say so: --columns {options}"
     )
-    table = replace(table, theirs=theirs, title=table.title or "companion",
-                    notes=(*table.notes, note))  # fmt: skip
+    table = replace(table, theirs=theirs, title=table.title or "companion").noted(note)
     return table, replace(declaration, **by_turns), True
 
 
 _ALIAS = {ours: alias for alias, ours in POLAR_ALIASES.items()}
-
-
-def _quoted(text):
-    return f"'{text}'" if '"' in text else f'"{text}"'
 
 
 def _own_names(table, declaration):
@@ -124,7 +120,7 @@ def with_date_unit(table, declaration):
         days = _BESSEL_1900 + _BESSEL_YEAR * (values - 1900)
         table = replace(table, frame=table.frame.assign(t=2000 + (days - 2451545) / 365.25))
         notes.append("Besselian years were put into Julian ones, of 365.25 days")
-    return replace(table, notes=(*table.notes, *notes))
+    return table.noted(*notes)
 
 
 def _is_star(table, declaration):
@@ -133,7 +129,7 @@ def _is_star(table, declaration):
         return False
     if {"position_angle", "separation"} & set(declaration.columns):
         return True
-    far, angle = (table.theirs.get(name, name) for name in ("distance", "angle"))
+    far, angle = table.heading("distance"), table.heading("angle")
     if "angle" in table.theirs and is_position_angle(angle):
         return True
     if (far, angle) == ("distance", "angle"):
@@ -159,7 +155,7 @@ def _with_units(table, declaration):
     options = " ".join(f"{_ALIAS[name]}=UNIT" for name in missing)
     note = in_python(f"no unit is given: {told}, as catalogues have it; if not, --units {options}")
     units = {**declaration.units, **missing}
-    return replace(table, notes=(*table.notes, note)), replace(declaration, units=units)
+    return table.noted(note), replace(declaration, units=units)
 
 
 def _without_halves(table):
@@ -168,24 +164,22 @@ def _without_halves(table):
     half = (missing["distance"] != missing["angle"]).to_numpy()
     if not half.any():
         return table
-    lines = ", ".join(map(str, table.frame.index[half][:8])) + (" ..." if half.sum() > 8 else "")
+    lines = listed(table.frame.index[half].tolist(), 8)
     note = (
         f"{int(half.sum())} row(s) with a separation or a position angle alone are left out "
         f"(line {lines})"
     )
-    return replace(table, frame=table.frame[~half], notes=(*table.notes, note))
+    return table.of_rows(~half).noted(note)
 
 
 def _with_both_errors(table):
     """The table without errors of one coordinate where the other has none at all."""
-    has = [name for name in ("sdistance", "sangle") if name in table.frame.columns
-           and table.frame[name].notna().any()]  # fmt: skip
-    given = [name for name in ("sdistance", "sangle") if name in table.frame.columns]
-    if len(has) == 2 or not given:
+    given = [name for name in ("sdistance", "sangle") if name in table]
+    if not given or (len(given) == 2 and table.frame[given].notna().any().all()):
         return table
-    named = " and ".join(repr(table.theirs.get(name, name)) for name in given)
+    named = " and ".join(repr(table.heading(name)) for name in given)
     note = f"{named}: errors are used where separation and position angle both have one"
-    return replace(table, frame=table.frame.drop(columns=given), notes=(*table.notes, note))
+    return replace(table, frame=table.frame.drop(columns=given)).noted(note)
 
 
 def with_primary(scenes, roster=None):

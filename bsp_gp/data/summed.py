@@ -17,10 +17,9 @@ from scipy.sparse.linalg import spsolve
 
 from bsp_gp.data.gravity import GRAVITY, OFF, is_without, pull_in, told_off, told_turned
 from bsp_gp.data.point_errors import FAR, gross_errors
-from bsp_gp.data.roster import fail_at, numbers_of
 from bsp_gp.data.scene import SUMS
+from bsp_gp.data.table import less
 from bsp_gp.data.twice import MOST_SLIPS
-from bsp_gp.errors import DataError
 
 VELOCITIES, ACCELERATIONS = SUMS
 """``[columns] velocity``: places are sums of velocities that alone were measured; these are sums
@@ -101,19 +100,16 @@ def summed(table, declaration, rates):
         Times are lost or do not increase; no track has four values, or these are beyond sensors.
     """
     found, (_, many) = rates.columns, WHAT[rates.velocity]
-    times = numbers_of(table, "t") if "t" in table.frame else _of_frames(table, declaration)
+    times = table.numbers("t") if "t" in table.frame else _of_frames(table, declaration)
     lost = np.isnan(times)
     if lost.any():
-        fail_at(table, "empty cell or NaN where a time is needed", int(lost.argmax()), "t")
-    values = np.stack([numbers_of(table, name) for name in found.values()], axis=1)
+        table.fail("empty cell or NaN where a time is needed", "t", row=int(lost.argmax()))
+    values = np.stack([table.numbers(name) for name in found.values()], axis=1)
     if rates.order == 2:
         _require_possible(table, rates.metric * values, rates)
     pieces, far, twice = _pieces(table, times, values, rates)
     if not any(pieces.values()):
-        raise DataError(
-            f"there are no places, and no track has four {many}", file=table.file,
-            column=next(iter(found.values())),
-        )  # fmt: skip
+        table.fail(f"there are no places, and no track has four {many}", [*found.values()][0])
     plain, weight = rates, ()
     if rates.order == 2 and rates.metric:
         values, weight = _without_gravity(table, times, values, pieces, rates)
@@ -123,18 +119,16 @@ def summed(table, declaration, rates):
         .assign(**_named(table, part, k, len(parts)))
         for parts in pieces.values() for k, part in enumerate(parts, 1)
     ])  # fmt: skip
-    units = {name: unit for name, unit in table.units.items() if name not in found.values()}
-    units |= rates.units
-    if "t" not in table.frame and declaration.fps:
+    taken = found.values()
+    units = less(table.units, taken) | rates.units
+    if "t" not in table and declaration.fps:
         units["t"] = "s"
     table = replace(
-        table, frame=frame, units=units, untimed="",
+        table, frame=frame, units=units, untimed="", unused=less(table.unused, taken),
         theirs={**table.theirs, **dict(zip(found, rates.headings, strict=True))},
-        unused={k: v for k, v in table.unused.items() if k not in found.values()},
-        notes=(*table.notes, *_notes(rates, pieces, (far, twice), len(times)), *weight),
-    )  # fmt: skip
-    said = {name: unit for name, unit in declaration.units.items() if name not in found.values()}
+    ).noted(*_notes(rates, pieces, (far, twice), len(times)), *weight)  # fmt: skip
     noise = _noise(declaration, times, rates)
+    said = less(declaration.units, taken)
     return table, replace(declaration, velocity=rates.velocity, noise=noise, units=said)
 
 
@@ -144,18 +138,17 @@ def _require_possible(table, values, rates):
              for own in np.abs(values).T]  # fmt: skip
     k = int(np.argmax(usual))
     if usual[k] > MOST_USUAL:
-        raise DataError(
+        table.fail(
             f"half of the accelerations are above {usual[k]:.3g} m/s^2, which no sensor shows",
-            file=table.file, column=rates.headings[k], remedy="look into the file: spreadsheets "
-            "that know another decimal sign make 3.5E+07 of 3.5E-02; export it anew, or give the "
-            "unit: --units acceleration=g",
+            rates.headings[k], "look into the file: spreadsheets that know another decimal sign "
+            "make 3.5E+07 of 3.5E-02; export it anew, or give the unit: --units acceleration=g",
         )  # fmt: skip
 
 
 def _without_gravity(table, times, values, pieces, rates):
     """Values (n, d) in m/s^2 less the gravity that is in them, by track, and notes of that."""
     values, notes = rates.metric * values, []
-    shown = rates.metric * np.stack([numbers_of(table, name) for name in rates.sensed], axis=1)
+    shown = rates.metric * np.stack([table.numbers(name) for name in rates.sensed], axis=1)
     own = [list(rates.sensed).index(name) for name in rates.columns.values()]
     headings = list(rates.sensed.values())
     for name, parts in pieces.items():
@@ -188,10 +181,7 @@ def _weight_at_rest(times, shown, parts):
 def _pieces(table, times, values, rates):
     """Rows of the pieces of every track, by the track's name; lines far off, and at one time."""
     one, _ = WHAT[rates.velocity]
-    keys = [name for name in ("scene", "entity") if name in table.frame]
-    groups = table.frame.groupby(keys, sort=False, dropna=False).indices if keys else {
-        "": np.arange(len(times))
-    }  # fmt: skip
+    groups = table.tracks
     far, twice, good = [], [], np.isfinite(values).all(axis=1)
     for rows in groups.values():
         rows = rows[good[rows]]
@@ -204,7 +194,7 @@ def _pieces(table, times, values, rates):
         back = np.flatnonzero(np.diff(times[rows]) <= 0)
         if len(back):
             problem = f"times must increase from {one} to {one} of a body"
-            fail_at(table, problem, int(rows[back[0] + 1]), "t", "sort the rows; keep one per time")
+            table.fail(problem, "t", "sort the rows; keep one per time", row=int(rows[back[0] + 1]))
         if rates.order == 1:  # what hits a body is seen in accelerations, and is no error
             is_far = _are_far(times[rows], values[rows])
             far += table.frame.index[rows[is_far]].tolist()
@@ -221,16 +211,15 @@ def _require_dense(table, times, values, groups, rates):
     for k, axis in enumerate(rates.columns):
         if rates.order != 1 or f"sv{axis}" not in table.frame:
             continue
-        error = numbers_of(table, f"sv{axis}")
+        error = table.numbers(f"sv{axis}")
         parts = [_off_neighbours(times[r], values[r, k], error[r]) for r in groups]
         off, quoted = np.concatenate(parts, axis=1)
         size = float(np.nanmedian(np.abs(off) / quoted)) if len(off) else 0.0
         if size > COARSEST and off.std() > COARSE * values[np.concatenate(groups), k].std():
-            raise DataError(
+            table.fail(
                 f"there are no places, and velocities are {size:.0f} of their errors off what "
                 "their neighbours foresee: rows are too far apart to be added up to places",
-                file=table.file, column=rates.headings[k],
-                remedy="a track needs places, or velocities with many rows a turn",
+                rates.headings[k], "a track needs places, or velocities with many rows a turn",
             )  # fmt: skip
 
 
@@ -276,7 +265,7 @@ def _told(rates, is_short, is_split):
 
 def _of_frames(table, declaration):
     """Times of a file that counts frames, s."""
-    frames = numbers_of(table, "frame")
+    frames = table.numbers("frame")
     return frames / declaration.fps if declaration.fps else frames * (declaration.dt or np.nan)
 
 
@@ -342,13 +331,13 @@ def _track(table, times, values, rows, rates):
     out = {"t": ends} | {a: rates.scale * places[:, k] for k, a in enumerate(columns)}
     for axis in columns:
         if rates.order == 1 and f"sv{axis}" in frame:
-            error, width = numbers_of(table, f"sv{axis}")[rows], np.diff(ends)
+            error, width = table.numbers(f"sv{axis}")[rows], np.diff(ends)
             # As of a typical step: whatever adds them up reckons with the time of each.
             error = rates.scale * error * np.sqrt(width * np.median(width))
             out[f"s{axis}"] = np.append(error[:1], error)
             frame = frame.drop(columns=f"sv{axis}")
     for name in frame.columns.difference([*out, "scene", "entity"]):
-        if pd.api.types.is_numeric_dtype(frame[name]):
+        if table.is_numeric(name):
             inner = frame[name].to_numpy(dtype=float)[: len(times)]
             out[name] = np.interp(ends, times, inner)
     return frame.assign(**out)

@@ -1,4 +1,7 @@
-"""Measures by several instruments: in the order of their dates, one row each time of a body."""
+"""Measures by several instruments: in the order of their dates, one row each time of a body.
+
+What is done to rows is among their notes.
+"""
 
 from dataclasses import replace
 
@@ -36,78 +39,62 @@ def by_date(rows):
     """
     span = np.ptp(rows.times) if len(rows.times) else 0.0
     if rows.sigma is None or not 0 < span < np.abs(rows.times).min():
-        return rows, ()
+        return rows
     order = np.lexsort((rows.times, rows.entity, rows.scene))
-    key = rows.scene * len(rows.entity_names) + rows.entity
+    key = rows.tracks
     own = np.argsort(key, kind="stable")
     is_back = (np.diff(key[own]) == 0) & (np.diff(rows.times[own]) < 0)
     if not is_back.any():
-        return rows, ()
+        return rows
     line = int(rows.lines[own[1:][is_back].min()])
     note = f"dates go back, first in line {line}: rows were put into the order of their dates"
-    return taken(rows, order), (note,)
-
-
-def taken(rows, chosen):
-    """Some rows, by their numbers."""
-    taken = {
-        name: getattr(rows, name)[chosen]
-        for name in ("scene", "entity", "times", "lines", "positions", "sigma")
-        if getattr(rows, name) is not None
-    }
-    return replace(
-        rows, **taken,
-        velocities=None if rows.velocities is None else rows.velocities[chosen],
-        inputs={name: (values[chosen], unit) for name, (values, unit) in rows.inputs.items()},
-        first=rows.first and tuple(values[chosen] for values in rows.first),
-        logged={n: (text, values[chosen], unit) for n, (text, values, unit) in rows.logged.items()},
-    )  # fmt: skip
+    return rows.taken(order).noted(note)
 
 
 def without_copies(rows):
-    """Rows without those that say again what the row before says, and a note of these."""
+    """Rows without those that say again what the row before says."""
     same = [np.diff(v) == 0 for v in (rows.scene, rows.entity, rows.times)]
     same += [(np.diff(rows.positions, axis=0) == 0).all(axis=1)]
     if rows.sigma is not None:
         same += [(np.isnan(s[1:]) & np.isnan(s[:-1])) | (s[1:] == s[:-1]) for s in rows.sigma.T]
     is_copy = np.append(False, np.all(same, axis=0))
     if rows.velocities is not None or not is_copy.any():
-        return rows, ()
+        return rows
     return _left_out(rows, is_copy, "say time and place of the row before again")
 
 
 def without_slips(rows):
-    """Rows without the few whose time is not after all before of their body, and a note of these.
+    """Rows without the few whose time is not after all before of their body.
 
     Clocks of loggers step back at times, or show one twice; what begins anew is another recording,
     and where more rows share a time they were rounded, or are of two bodies.
     """
-    key = rows.scene * len(rows.entity_names) + rows.entity
+    key = rows.tracks
     times = pd.Series(rows.times)
     before = times.groupby(key).cummax().groupby(key).shift()
     is_late = times <= before
     is_few = is_late.groupby(key).transform("mean") <= MOST_SLIPS
     is_slip = (is_late & is_few).to_numpy()
     if not is_slip.any():
-        return rows, ()
+        return rows
     return _left_out(rows, is_slip, "have a time that is not after those before")
 
 
 def without_held(rows):
-    """Rows without those of readings that were held until the next one, and a note of these.
+    """Rows without those of readings that were held until the next one.
 
     A logger that is faster than its sensor, and a tracker that has lost a body, say the last place
     again. What lies still does so, too, but does not leap there, nor away from there; and rows on
     both sides of a turning point may have one place on a grid.
     """
     if rows.velocities is not None or len(rows.times) < 2:
-        return rows, ()
+        return rows
     is_held = np.zeros(len(rows.times), dtype=bool)
-    key = rows.scene * len(rows.entity_names) + rows.entity
+    key = rows.tracks
     for own in pd.Series(key).groupby(key).indices.values():
         is_held[own] = _are_held(rows.times[own], rows.positions[own])
     if not is_held.any():
-        return rows, ()
+        return rows
     return _left_out(rows, is_held, "hold the place of the row before, and leap to the next")
 
 
@@ -156,7 +143,7 @@ def _left_out(rows, is_out, what):
     lines = rows.lines[is_out]
     named = listed(list(dict.fromkeys(lines.tolist())), LISTED)  # of bodies side by side, once
     note = f"{len(lines)} row(s) {what}: left out (line {named})"
-    return taken(rows, np.flatnonzero(~is_out)), (CHECK + note,)
+    return rows.taken(np.flatnonzero(~is_out)).noted(CHECK + note)
 
 
 def measures_at_once(rows):
@@ -167,7 +154,7 @@ def measures_at_once(rows):
     share a time and lie within a part of the way.
     """
     if rows.velocities is not None or len(rows.times) < 2:
-        return rows, ()
+        return rows
     if rows.sigma is None:
         return _observed_at_once(rows)
     again = np.all([np.diff(v) == 0 for v in (rows.scene, rows.entity, rows.times)], axis=0)
@@ -182,18 +169,18 @@ def measures_at_once(rows):
         means = np.add.reduceat(sigma**-2.0 * x, starts) / total
     is_copy = (x == x[first]).all(axis=1) & (sigma == sigma[first]).all(axis=1)
     if again.all() or not again.any() or not agree[~is_new].all() or is_copy[~is_new].any():
-        return rows, ()
+        return rows
     places, errors = rows.positions[starts].copy(), rows.sigma[starts].copy()
     several = np.isin(starts, first[~is_new])[:, None]
     places[:, axes] = np.where(several, means, places[:, axes])
     errors[:, axes] = np.where(several, total**-0.5, errors[:, axes])
     lines = rows.lines[~is_new]
-    told = ", ".join(map(str, lines[:LISTED])) + (" ..." if len(lines) > LISTED else "")
+    told = listed(lines.tolist(), LISTED)
     note = (
         f"{len(lines)} row(s) are at the time of the row before (line {told}) and agree with it: "
         "they are one measure, the mean weighted by their errors"
     )
-    return replace(taken(rows, starts), positions=places, sigma=errors), (note,)
+    return replace(rows.taken(starts), positions=places, sigma=errors).noted(note)
 
 
 def _observed_at_once(rows):
@@ -202,7 +189,7 @@ def _observed_at_once(rows):
     is_dated = are_within(dates.min(), dates.max(), (YEARS, JULIAN))
     again = np.all([np.diff(v) == 0 for v in (rows.scene, rows.entity, rows.times)], axis=0)
     if not is_dated or not again.any() or again.sum() > FEW * len(again):
-        return rows, ()
+        return rows
     starts = np.flatnonzero(np.append(True, ~again))
     counts = np.diff(np.append(starts, len(rows.times)))
     way = np.fmax.reduce(rows.positions) - np.fmin.reduce(rows.positions)
@@ -210,10 +197,10 @@ def _observed_at_once(rows):
     off = np.abs(rows.positions - np.repeat(middles, counts, axis=0))
     is_far = (off > NEAR / 2 * way).any(axis=1)
     if (2 * np.add.reduceat(is_far, starts) >= counts).any():
-        return rows, ()
+        return rows
     lines = rows.lines[1:][again]
     note = (
         f"{len(lines)} row(s) have the date of the row before (line {listed(lines, LISTED)}): "
         "they are one observation, the median"
     )
-    return replace(taken(rows, starts), positions=middles), (note,)
+    return replace(rows.taken(starts), positions=middles).noted(note)

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 from bsp_gp.data.conversion import is_unit, unit_of
 from bsp_gp.data.scene import CHECK
-from bsp_gp.errors import DataError, in_python
+from bsp_gp.data.table import less
+from bsp_gp.errors import in_python
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, Unit
 
 _LENGTH, _TIME = Unit.of(m=1), Unit.of(s=1)
@@ -38,18 +39,17 @@ def without_other_units(table, declaration):
         f"read as places that are not calibrated; --units {axis}='0.5 mm' would say what 1 {unit} "
         "stands for"
     )
-    units = {name: text for name, text in table.units.items() if name not in out}
-    return replace(table, units=units, notes=(*table.notes, note))
+    return replace(table, units=less(table.units, out)).noted(note)
 
 
 def _is_other(table, axis, text):
     """Whether a unit is none of a place, an angle or a time: a sensor shows a place in it."""
     unit = unit_of(text)
     if unit in _OWN:
-        name, heading = f"{_OWN[unit]}{axis}", table.theirs.get(axis, axis)
+        heading = table.heading(axis)
         what = "a velocity" if unit == _SPEED else "an acceleration"
-        raise DataError(
-            f"{heading!r} is named as a place, and {text} is the unit of {what}", file=table.file,
-            column=axis, remedy=f'name it as that: --columns {name}="{heading}"',
+        table.fail(
+            f"{heading!r} is named as a place, and {text} is the unit of {what}", axis,
+            f'name it as that: --columns {_OWN[unit]}{axis}="{heading}"',
         )  # fmt: skip
     return unit not in (_LENGTH, _TIME, _RATE, DIMENSIONLESS)

@@ -7,6 +7,7 @@ import pandas as pd
 
 from bsp_gp.data.conversion import unit_of
 from bsp_gp.data.headings import GUESS, UNKNOWN, is_body, is_rate_of
+from bsp_gp.data.notes import quoted
 from bsp_gp.units import Unit
 
 COUNTED = "there is no column of times: every row is taken as a frame"
@@ -111,12 +112,11 @@ def _remedy_of_doubt(places, names, clocks):
     if "" in names:
         place = places[names.index("")] + 1
         return f"column {place} has no name and may be it: give it one, such as t or frame"
-    quoted, able = ([name if name.isidentifier() else f'"{name}"' for name in own]
-                    for own in (names, clocks))  # fmt: skip
-    is_it = f"{' or '.join(quoted[:3])} is it, or " if able else f"{' or '.join(quoted[:3])} "
-    options = f"t={able[0]} (or frame=, entity=, scene=)" if able else (
-        f"scene={quoted[0]} (of bodies entity=)")  # fmt: skip
-    ignored = " ".join(f"{name}=ignore" for name in quoted)
+    names = list(map(quoted, names))
+    is_it = f"{' or '.join(names[:3])} " + "is it, or " * bool(clocks)
+    options = f"t={quoted(clocks[0])} (or frame=, entity=, scene=)" if clocks else (
+        f"scene={names[0]} (of bodies entity=)")  # fmt: skip
+    ignored = " ".join(f"{name}=ignore" for name in names)
     return (
         f"if {is_it}tells bodies or recordings apart, say so: --columns {options}; if none does, "
         "and every row is a "

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.headings import LITERAL, UNKNOWN, is_run
-from bsp_gp.data.property_columns import quoted
+from bsp_gp.data.notes import quoted
 from bsp_gp.errors import DataError
 
 _AXES = ("x", "y", "z")

@@ -3,6 +3,7 @@
 import re
 import tomllib
 import unicodedata
+from functools import cache, lru_cache
 from importlib.resources import files
 
 _WIDE = str.maketrans("（）［］／：，＃　", "()[]/:,# ")
@@ -15,6 +16,7 @@ _BORDER = re.compile(
 _LETTERS = ("LATIN", "GREEK", "CYRILLIC")
 
 
+@lru_cache(maxsize=1 << 14)  # a wide table is asked about its headings again and again
 def folded(text):
     """A text in lower case without the accents of its letters, as long as it was."""
     return "".join(map(_plain, unicodedata.normalize("NFC", text)))
@@ -40,9 +42,11 @@ def word_set(text):
     return frozenset(folded(text).split())
 
 
+@cache
 def words_for(meaning):
     """All words of a meaning in ``words.toml``, folded."""
-    return word_set(" ".join(_WORDS[meaning].values()))
+    by_language = _WORDS.get(meaning) or {"": _WORDS["others"][meaning]}
+    return word_set(" ".join(by_language.values()))
 
 
 def n_known_words(text):
@@ -57,4 +61,7 @@ def unit_words():
 
 
 _WORDS = tomllib.loads(files(__package__).joinpath("words.toml").read_text(encoding="utf-8"))
-_KNOWN = frozenset().union(*map(words_for, _WORDS)) | {folded(word) for word in unit_words()}
+_KNOWN = frozenset().union(
+    *(words_for(meaning) for meaning in _WORDS if meaning != "others"),  # these have lone signs
+    map(folded, unit_words()),
+)
