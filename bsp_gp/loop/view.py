@@ -253,6 +253,21 @@ class View:
         """
         return self.criteria.cause_nats if self.is_sky else 0.0
 
+    def odd_of(self, formula, kind):
+        """The same of a force, nats; what acts along the axes of a picture is odder still.
+
+        Parameters
+        ----------
+        formula : Formula
+            In which a place that is sought is no sum along axes.
+        kind : str
+            Others than "field" are not odd.
+        """
+        if kind != "field":
+            return 0.0
+        is_along = self.is_sky and formula.inputs & {"e_x", "e_y"}
+        return self.odd_nats + (self.criteria.class_nats if is_along else 0.0)
+
     @cached_property
     def reference(self):
         """The body of the sky from which places count, so that what pulls it is not seen; or "".

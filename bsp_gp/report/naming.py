@@ -53,6 +53,7 @@ def describe(formula, value=None, other="the other body", exponents=()):
             phrase = re.sub(r"^spring to a rest point", "push away from a point", phrase)
         if value is not None and value > 0:
             phrase = re.sub("^spring (along .) to a rest", r"push \1 away from a", phrase)
+            phrase = re.sub("^drag that (weakens|levels)", r"forward push that \1", phrase)
     else:
         condition = conditions[-1] if conditions else None
         phrase = _phrase(direction, condition, powers, value, bool(loose))
@@ -127,6 +128,9 @@ _WHOLE = (
      "force along {0} that repeats with {0} (a washboard, an egg crate)"),
     (r"Omega\d*(?:_x\d*)?\b.*v_i\)", "a frame that turns (Coriolis and centrifugal forces)"),
     (r"norm\(v_i - .*u_\w+ \* e_.*\) \* \(v_i - ", "drag in a wind, quadratic in speed"),
+    (r"inverse\(1 \+ \(norm\(v_i\) / \w+\)\^2\) \* v_i$",
+     "drag that weakens at high speed (an eddy brake)"),
+    (r"inverse\(1 \+ norm\(v_i\) / \w+\) \* v_i$", "drag that levels off at high speed"),
     (r"^\(([xyz])_i - \w+\)\^2 \* v_i$",
      "drag, linear in speed, as the square of the way along {0} from a place"),
     (r"^\(([xyz])_i - \w+\) \* e_\1$", "spring along {0} to a rest point"),

@@ -223,7 +223,9 @@ def test_a_power_that_a_law_lacks_is_said_where_zero_is_far(low, high, is_said):
         ("c * exp(-t / T) * perp(v_i)",
          "force across the velocity, linear in speed (magnetic, Magnus or Coriolis), fading with "
          "time"),
-        ("c * exp(-norm(p_i - origin) / D) * (norm(v_i) * v_i)",
+        ("c * inverse(1 + (norm(v_i) / u)^2) * v_i",
+         "drag that weakens at high speed (an eddy brake)"),
+        ("c * exp(-norm(p_i - origin) / H) * (norm(v_i) * v_i)",
          "drag, quadratic in speed, fading with the distance to the origin"),
         ("c * exp(-((x_i - h) / D)^2) * (x_i - h) * e_x",
          "force along x about a place, gone a length away (a dip or a bump)"),

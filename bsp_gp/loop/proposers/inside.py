@@ -285,7 +285,7 @@ def _proposal(view, search, scan):
     }
     starts[names["c"]] = search.strength(scan)
     law = ForceLaw((Term(formulas[0], scan.form.term.kind),), starts)
-    odd_nats = view.odd_nats if scan.form.term.kind == "field" else 0.0
+    odd_nats = view.odd_of(scan.form.term.formula, scan.form.term.kind)
     if drives(formulas[0], starts[names["c"]]):
         odd_nats += view.criteria.cause_nats
     axes = {axis.name.rstrip("0123456789")[-1] for axis in scan.axes if axis.name.startswith(LINES)}

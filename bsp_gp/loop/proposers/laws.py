@@ -207,7 +207,7 @@ class Laws:
             wordy = WORDY * sum(1 for _ in walk(candidate.formula))
             others.append(replace(candidate, complexity=candidate.complexity + wordy))
         every = (
-            replace(c, complexity=c.complexity + view.odd_nats) if c.kind == "field" else c
+            replace(c, complexity=c.complexity + view.odd_of(c.formula, c.kind))
             for c in (*common, *others)
         )
         return sorted(every, key=lambda c: c.complexity - 0.5 * c.gain)

@@ -117,8 +117,8 @@ def sets_of(view, laws, found, declared):
             view.response.regression, laws.grammar, kind=kind, max_levels=laws.max_levels,
             is_left=lambda formula: properties_of(formula) == wanted,
         )  # fmt: skip
-        odd = view.odd_nats if kind == "field" else 0.0
-        pool += [(formula, complexity + odd, kind) for formula, complexity in rest]
+        pool += [(formula, complexity + view.odd_of(formula, kind), kind)
+                 for formula, complexity in rest]  # fmt: skip
         columns.append(matrix)
     if not pool:
         return []
