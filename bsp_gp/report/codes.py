@@ -15,7 +15,7 @@ CAUSES = {
     "scale": "a wrong scale of lengths", "clock": "a clock that runs wrong",
     "tilt": "a camera that is turned", "zero": "an angle whose zero is off",
     "pivot": "angles about a point beside the pivot", "slant": "a picture plane that is tilted",
-    "drift": "a camera that drifts", "offset": "an origin that is off",
+    "drift": "a camera that drifts, or what rests in the law", "offset": "an origin that is off",
     "origin": "an origin beside what a body is held to",
     "length": "a length other than was typed",
     "delay": "a delay of one body", "exposure": "an exposure that blurs",

@@ -13,7 +13,7 @@ from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import Decision
 from bsp_gp.loop.foresight import Foresight, _is_surely_worse, is_refuted, that_foresee
 from bsp_gp.loop.loop import Round
-from bsp_gp.loop.table import HypothesisTable, Row
+from bsp_gp.loop.table import HeldOut, HypothesisTable, Row
 from tests.unit.test_response import GRAVITY, thrown
 
 PUSH = "0.2 [m/s^2] * m_i * e_x"
@@ -28,7 +28,7 @@ def round_of(number, dataset, before, after, kind="force", status="converged", c
     hypotheses = {k: Hypothesis.from_laws(dataset, laws) for k, laws in enumerate((before, after))}
     fits = {k: fit(hypothesis, dataset) for k, hypothesis in hypotheses.items()}
     fits[0] = replace(fits[0], status=status)
-    best = SimpleNamespace(id=1, kind=kind, code=code)
+    best = SimpleNamespace(id=1, kind=kind, code=code, held_out=HeldOut())
     decision = Decision("effect adopted", "adopted", best, True)
     return Round(number, fits[0], None, decision, fits, hypotheses, ())
 
@@ -96,6 +96,18 @@ def test_a_fact_that_changes_nothing_stays_where_all_that_is_left_is_odd_noise(w
     )
     assert found[0].decision.is_adopted == is_fact
     assert len(found) == 1 + is_fact
+
+
+@pytest.mark.parametrize(
+    ("gain", "is_kept"), [(98.0, True), (50.0, False)]
+)  # of 100 that were promised
+def test_what_held_out_rows_hardly_show_is_judged_by_scenes_left_out_in_turn(world, gain, is_kept):
+    """Magnets on gliders that meet before the last rows were seen, and not adopted."""
+    train, test = replace(world, scenes=world.scenes[:3]), world.scenes[3:]
+    done = round_of(1, train, [GRAVITY], [GRAVITY, "1e-9 [m/s^2] * m_i * e_x"])
+    done.decision.best.held_out = HeldOut(gain, 5.0, 100.0)
+    (told,) = that_foresee([done], foresight(world, test))
+    assert told.decision.is_adopted == is_kept
 
 
 def test_what_came_before_a_cause_that_changes_nothing_stays(world):

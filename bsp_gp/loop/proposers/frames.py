@@ -29,9 +29,11 @@ class Frames:
     def propose(self, view):
         """The family of both.
 
-        An accelerated frame is a push in proportion to mass, which laws and periods propose.
+        An accelerated frame is a push in proportion to mass, which laws and periods propose; on
+        one line what turns is a push away from a place.
         """
-        if view.dataset.units.is_angle or _is_turning(view.fit.law):
+        is_line = view.dataset.n_moving_axes == 1
+        if is_line or view.dataset.units.is_angle or _is_turning(view.fit.law):
             return Family(self.name)
         turns, swings, pushes = _columns(view)
         free = np.concatenate([turns, swings, pushes], axis=1)

@@ -18,7 +18,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.clock import TimeIsUp
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.periods import wave_beside, waves_alone
-from bsp_gp.loop.proposers.priors import drives, is_passed_once
+from bsp_gp.loop.proposers.priors import drives, edges_cost, is_passed_once
 from bsp_gp.loop.view import MOST_PAIRS, MOST_WEIGHTS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_names, kind_of, split_linear
@@ -289,6 +289,9 @@ def _proposal(view, search, scan):
     if drives(formulas[0], starts[names["c"]]):
         odd_nats += view.criteria.cause_nats
     axes = {axis.name.rstrip("0123456789")[-1] for axis in scan.axes if axis.name.startswith(LINES)}
+    places = {axis.name[2]: starts[names[axis.name]] for axis in scan.axes
+              if axis.name.startswith(("h_", "H_"))}  # fmt: skip
+    odd_nats += view.criteria.cause_nats * edges_cost(formulas[0], places, view.dataset)
     if is_passed_once(formulas[0], axes, view.dataset):
         odd_nats += 2 * view.criteria.cause_nats
     return Proposal(

@@ -21,7 +21,7 @@ from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import NEW, Family, Proposal
 from bsp_gp.loop.proposers.periods import coordinate_of, wave_beside, waves_alone
-from bsp_gp.loop.proposers.priors import drives
+from bsp_gp.loop.proposers.priors import drives, edges_cost
 from bsp_gp.loop.view import MOST_WEIGHTS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
@@ -311,7 +311,9 @@ def _proposal(view, library, own, amounts, gain, wave, more=()):
     ranges = tuple(p for p, _ in inner if p.name in named)
     hypothesis = view.hypothesis + RangedForces(ForceLaw(tuple(terms), dict(starts)), None, ranges)
     bounds, formulas = {}, [term.formula for term in terms]
-    n_causes = len(terms) + len(ranges)  # what fades is no plain drag
+    places = {p.name[2]: float(at) for p, at in inner if p.name.startswith("h_")}
+    edges = max(edges_cost(formula, places, view.dataset) for formula in formulas)
+    n_causes = len(terms) + len(ranges) + edges  # what fades is no plain drag
     if wave is not None:
         hypothesis, n_causes = hypothesis + wave.part, n_causes + 1
         starts |= dict(zip(wave.names, (*amounts[-3:-1], wave.rate), strict=True))

@@ -7,6 +7,8 @@ from bsp_gp.language.render import to_text
 from bsp_gp.physics.force import split_linear
 
 AXES = ("e_x", "e_y", "e_z")
+EDGE = 0.02
+"""Part of all rows on the lesser side of a place below which they show no edge there."""
 ON = 0.95
 """Part of the extent of a track that lies between its ends where a body did not turn."""
 
@@ -55,6 +57,29 @@ def is_passed_once(formula, axes, dataset):
         _goes_on(track) for scene in dataset.scenes
         for track in scene.positions[:, scene.dynamic, "xyz".index(*axes)].T
     )  # fmt: skip
+
+
+def edges_cost(formula, places, dataset):
+    """What it costs that a law acts on one side of a place alone, in causes.
+
+    Where nearly all rows are on one side of it they tell of no edge, and the law without it says as
+    much.
+
+    Parameters
+    ----------
+    formula : Formula
+    places : dict of str to float, m
+        By the axis, ``{"x": 0.4}``.
+    dataset : Dataset
+    """
+    words = {getattr(node, "operator", "") for node in walk(formula)}
+    cost = 0
+    for axis, at in places.items() if "sign" in words else ():
+        tracks = [s.positions[:, s.dynamic, "xyz".index(axis)].ravel() for s in dataset.scenes]
+        seen = np.concatenate(tracks)
+        beyond = np.mean(seen[np.isfinite(seen)] > at)
+        cost = max(cost, 1 if min(beyond, 1 - beyond) > EDGE else 3)
+    return cost
 
 
 def _goes_on(track):
