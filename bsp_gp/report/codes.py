@@ -83,7 +83,7 @@ REASONS = {
     "time_is_up": "the time was up before everything was looked at",
     "superseded": "what was found later made it superfluous",
     "beside_description": "it makes up for a law beside it that only describes these tracks",
-    "force_beside": "it describes these tracks, but a force of no listed form acts beside it",
+    "force_beside": "it describes these tracks, but more of no listed form is left beside it",
     "many_causes": "it takes many causes to describe these tracks, rather than one of another form",
     "not_placed": "its strength may be nothing, and it may be anywhere: other pushes that change "
     "from place to place do as well",

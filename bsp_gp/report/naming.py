@@ -211,7 +211,8 @@ def _inner_phrase(direction, formula, powers, value=None, is_loose=False):
     point = "round a point (a vortex)" if text.startswith("perp(") else "to a point"
     way = bare[2:] if bare.startswith("e_") else f"the {_DIRECTIONS.get(bare, bare)}"
     along = point if is_place else f"along {way}"
-    is_plain = not (set(powers) - {"norm(v_i)"} or any("fitted power" in word for word in words))
+    is_fitted = any("fitted power" in word for word in words)
+    is_plain = not (set(powers) - {"norm(v_i)", "m_i"} or is_fitted)
     if text in ("v_i", "normalize(v_i)") and is_plain:
         total = powers.get("norm(v_i)", 0) + (text == "v_i")
         kind = "drag" if total else "friction"
@@ -556,6 +557,9 @@ def _phrase(direction, condition, powers, value, is_loose=False):
         verb = "force along the line to the other body"
         if value is not None:
             verb = "push from the other body" if value > 0 else "pull to the other body"
+        own = {name: power for name, power in powers.items() if "along(" in name}
+        if list(own.values()) == [1] and not (distance or speed) and (value is None or value <= 0):
+            return f"drag between the bodies along their line (a dashpot), linear in speed{where}"
         if extension == [1] and not (distance or speed or radial):
             return f"spring towards the other body{where}"
         return verb + _scaling(powers) + where

@@ -97,7 +97,7 @@ def formula(text):
         (f"c1 * ({R} - l_i) * normalize(p_i - p_j)", -8.0, "spring towards the other body"),
         (f"c1 * m_j * {R} * normalize(p_i - p_j)", -8.0, "pull to the other body, as distance"),
         ("c1 * along(v_i - v_j, p_i - p_j) * normalize(p_i - p_j)", -8.0,
-         "pull to the other body, as radial speed"),
+         "drag between the bodies along their line (a dashpot), linear in speed"),
         ("c1 * normalize(v_i - v_j)", -8.0, "force along the relative velocity"),
         ("m_i * (Omega1^2 * (p_i - origin) + -2 * Omega1 * perp(v_i))", None,
          "a frame that turns (Coriolis and centrifugal forces)"),
