@@ -1,5 +1,7 @@
 """Bodies that act on all others by strengths of their own, which nobody has told."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,7 +12,8 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.latents import Properties
-from bsp_gp.loop.proposers.sources import Sources
+from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.proposers.sources import Sources, _gravity
 from bsp_gp.loop.view import View
 from bsp_gp.physics.masses import with_usable_masses
 from bsp_gp.planning.means import Body, Experiment, means_from
@@ -156,3 +159,13 @@ def test_two_stars_are_told_by_their_masses():
     assert (report.verdict, done.effect.code) == ("effect adopted", "gravity")
     name = page_of(report).rounds[0].effect.name
     assert name == "pull to the other body, as distance⁻², by masses that it tells"
+
+
+def test_a_body_that_moments_tell_to_push_has_a_mass_all_the_same():
+    """A planet of no mass ended the run."""
+    view = SimpleNamespace(
+        hypothesis=Hypothesis(()), criteria=Criteria(), dataset=SimpleNamespace(n_dims=2)
+    )
+    proposal = _gravity(view, ["sun", "mars"], np.array([4e-10, -1e-12]), 2, 50.0)
+    (masses,) = (p for p in proposal.hypothesis.parts if isinstance(p, Properties))
+    assert min(masses.starts) > masses.parameters[0].low > 0

@@ -29,6 +29,9 @@ ATTRACTION = (
     f"{GRAVITATIONAL_CONSTANT} [m^3/(kg s^2)] * (m_i * m_j * inverse(norm(p_i - p_j)^2) * "
     "normalize(p_j - p_i))"
 )
+LEAST, LITTLE = 1e-12, 1e3
+"""Part of the greatest mass that every body has, and times that with which the fit of one begins
+which the moments tell to push."""
 WIDE = 3.0
 """Width of the prior of strengths, in the root mean square of those that the moments tell."""
 
@@ -133,9 +136,11 @@ def _proposal(view, power, names, strengths, rank, height):
 
 def _gravity(view, names, strengths, rank, height):
     """The attraction by masses that are not known."""
-    masses = np.maximum(strengths, 0.0) / GRAVITATIONAL_CONSTANT
+    masses = strengths / GRAVITATIONAL_CONSTANT
+    least = LEAST * float(np.max(masses))  # what moves has a mass
+    masses = np.maximum(masses, LITTLE * least)
     spread = WIDE * float(np.sqrt(np.mean(np.square(masses))))
-    prior = Prior("truncated_normal", low=0.0, mean=0.0, sd=spread)
+    prior = Prior("truncated_normal", low=least, mean=0.0, sd=spread)
     items = tuple(Latent(f"mass[{name}]", "mass", prior, (("", name),)) for name in names)
     values = tuple(map(float, masses))
     part = Properties(Latents(items), (("mass", Unit.of(kg=1)),), values, is_absolute=True)
