@@ -168,8 +168,9 @@ class Foresight:
         is_worse = ratio > WORSE and _is_surely_worse(accounts(N_COPIES))
         if is_worse or _runs_away(plain):
             return True, False
-        is_kept = last is done and _is_foreseen(done.decision.best) and _is_hardly_shown(plain)
-        if not ratio > NO_BETTER or is_kept:
+        if not ratio > NO_BETTER:
+            return False, True
+        if last is done and _is_foreseen(done.decision.best) and _is_hardly_shown(plain):
             return False, True
         return False, ratio < 1.0 and _is_better_in_noise(accounts(N_COPIES))
 

@@ -343,9 +343,9 @@ def _lost(windows):
 def _untrimmed(view, chains):
     """Both ends of all tracks that pay for being left out, their gain, and how many were tried."""
     parts, total, n_tried = [], 0.0, 0
-    # Under a law that cannot follow them, levels are of no use: tracks tell what noise is.
     for chain in chains:
         for name in np.unique(chain.names):
+            # Levels under a law that cannot follow tracks are of no use: these tell what noise is.
             heads, tails = ends_of(chain.scene, name, view.scatter)
             n_tried += len(heads)
             if not len(heads):
