@@ -27,6 +27,8 @@ LEAST_MORE, ODD = 3, 4.0
 linear law makes of those before them, for bounces to be odd."""
 LEAST_FLIGHT = 8
 """Rows of a flight from wall to wall; shorter ones tell little, and are left out."""
+PASSED = 0.25
+"""Part of the usual distance of two bodies within which one passes the other."""
 MOST = 4
 """Kinks of a recording, at the most: what is kicked all the time is pushed."""
 
@@ -58,6 +60,8 @@ def in_parts(dataset, found):
         if len(own) > 1 or max(map(len, own.values())) > MOST:
             return None
         ((k, some),) = own.items()
+        if any(_is_passed(scene, k, kink.time) for kink in some):
+            return None
         edges[scene.name] = np.searchsorted(scene.times, [kink.time for kink in some]).tolist()
         where = f" in {scene.name!r}" if len(dataset.scenes) > 1 else ""
         told += [_told(scene, k, kink, dataset.units) + where for kink in some]
@@ -151,6 +155,17 @@ def _unforeseen(scene, k, found):
         kink for kink in kinks(scene.times, scene.positions[:, k])
         if found.is_failed or not is_foreseen(kink.time, scene, k, found)
     ]  # fmt: skip
+
+
+def _is_passed(scene, k, time):
+    """Whether another body passes close by at a time: what it does may pass for a kick."""
+    others = np.arange(scene.positions.shape[1]) != k
+    apart = np.linalg.norm(scene.positions[:, others] - scene.positions[:, [k]], axis=-1)
+    row = int(np.searchsorted(scene.times, time))
+    near = apart[max(row - SIDE_ROWS[0], 0) : row + SIDE_ROWS[0]]
+    seen = np.isfinite(near).any(axis=0)
+    least, usual = np.nanmin(near[:, seen], axis=0), np.nanmedian(apart[:, seen], axis=0)
+    return bool((least < PASSED * usual).any())
 
 
 def _told(scene, k, kink, units):

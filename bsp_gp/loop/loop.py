@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -16,6 +17,7 @@ from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.fitting.student import log_likelihood
+from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.aside import Aside, is_hopeless, law_beside, settled
 from bsp_gp.loop.clock import Clock, TimeIsUp
@@ -633,6 +635,7 @@ class _Turn:
         self.share_noise()
         self._fit_weight(every)
         self._fit_limits()
+        self._fit_shared()
         self._prune()
         off = {
             source for source, known in above.items()
@@ -805,6 +808,23 @@ class _Turn:
                 continue
             self.run.says(f"fit of a limit: {simpler.text}")
             self._fit_after(row, simpler)
+
+    def _fit_shared(self):
+        """Fit the likeliest law of a strength for each owner with one strength for all of them.
+
+        Where bodies come close a strength for each scene promises more than one for all: moments
+        are told of what the law as it is leaves, not of the tracks that the new law follows.
+        """
+        fitted = (row for row in self.rows[1:] if row.is_fit and row.id in self.proposals)
+        row = max(fitted, key=lambda row: row.log_posterior, default=None)
+        shared = row and _with_one_strength(
+            self.proposals[row.id], self.hypotheses[0], self.fits[row.id], self.run.criteria
+        )
+        known = {other.key for other in self.rows if other.is_fit}
+        if shared is None or shared.key in known or self.note_time("fits"):
+            return
+        self.run.says(f"fit with one strength for all: {shared.text}")
+        self._fit_after(row, shared)
 
     def _prune(self):
         """Leave terms out of the likeliest sum of laws while that makes it likelier.
@@ -1312,6 +1332,25 @@ def _led_by(form, proposal, found, criteria):
         formulas=formulas, ties=(), gain=proposal.gain,
         rank=proposal.rank - len(first.constants) + len(form.formulas[0].constants),
         log_prior=form.log_prior - criteria.cause_nats * len(rest),
+    )  # fmt: skip
+
+
+def _with_one_strength(proposal, base, found, criteria):
+    """A law of a strength for each owner with one for all; None where it has none such."""
+    names = {n: n.partition("[")[0] for f in proposal.formulas for n in f.constants}
+    if all(old == new for old, new in names.items()):
+        return None
+    formulas = tuple(rename_constants(f, names) for f in proposal.formulas)
+    values = {new: found.law.constants[old] for old, new in names.items()}
+    values = {
+        n: float(np.median(list(v.values()))) if isinstance(v, Mapping) else v
+        for n, v in values.items()
+    }  # fmt: skip
+    law = ForceLaw(tuple(Term(formula, kind_of(formula)) for formula in formulas), values)
+    return replace(
+        proposal, code="law", text=" + ".join(map(to_text, formulas)),
+        hypothesis=base + Forces(law, None), formulas=formulas, rank=len(values), ties=(),
+        starts=values, log_prior=proposal.log_prior + criteria.cause_nats, is_wide=False,
     )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ from bsp_gp.physics.force import split_linear
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
 CHANGES = (
-    "exponent", "number", "pulsing", "growing", "wind", "belt", "constant_per_body",
+    "exponent", "number", "pulsing", "growing", "delayed", "wind", "belt", "constant_per_body",
     "constant_per_scene",
 )  # fmt: skip
 """Codes of causes that change a term of the law."""

@@ -4,6 +4,7 @@ CAUSES = {
     "exponent": "another exponent", "number": "another number", "period": "a push with a period",
     "ripple": "a force that repeats along an axis", "pulsing": "a strength with a period",
     "growing": "a strength that grows or fades",
+    "delayed": "a force that acts late",
     "wind": "a medium that moves (a wind, a current)",
     "belt": "a ground that moves under the bodies (a belt)",
     "constant_per_body": "a constant for each body",

@@ -282,6 +282,9 @@ def change(code, name, constants=()):
             by += format_value(abs(c.value), *sorted((abs(c.low), abs(c.high))))
         size = size_name(found[1])
         return f"another power of {size} in {found[2]}{by}"
+    if found := re.fullmatch(r"(.+), of what was \w+ ago", name):
+        ago = with_unit(format_value(c.value, c.low, c.high), c.unit) if c else "some time"
+        return f"{found[1]} as it was {ago} ago: {CAUSES[code]}"
     if code in CAUSES and code not in ("number", "exponent"):
         more = " (or masses other than told)" if code == "constant_per_body" else ""
         return f"{CAUSES[code]} in {name}{more}"

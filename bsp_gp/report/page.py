@@ -10,6 +10,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.criteria import KICKED
 from bsp_gp.loop.stored import formula_of
 from bsp_gp.loop.told import retold
+from bsp_gp.loop.writing_up import CHANGES
 from bsp_gp.physics.force import needs_masses, split_linear
 from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
 from bsp_gp.report.codes import (
@@ -90,7 +91,7 @@ def page_of(report):
             r.effect.dependence = dependence(law, rivals, tried, page.dataset)
             r.effect.equivalents, n_same, why = told_once(law, rivals, page.dataset)
             other = _other_error(r.effect, done.hypotheses)
-            r.effect.likeliest_other = other or _other_form(r.effect, page.dataset)
+            r.effect.likeliest_other = other or _other_form(r.effect, done, page.dataset)
             r.effect.rewritten = rewritten(n_same, why)
             r.effect.name += other_way(r.effect, why, page.dataset)
     return page
@@ -114,19 +115,35 @@ def _other_error(effect, rows):
     return "" if row is None else of_scenes(row["code"], row["model"]["uncertain"])
 
 
-def _other_form(effect, dataset):
+def _other_form(effect, done, dataset):
     """In plain words, the likeliest form that fits as well as one that is no fact; "" if none.
 
     Of those with more numbers some always do.
     """
     is_open = any(not e["is_told"] for e in effect.exponents)  # its interval says as much
-    if effect.is_fact or is_open or effect.kind not in ("pair", "field"):
+    if effect.is_fact or is_open or effect.kind not in ("pair", "field", "declared_term_change"):
         return ""
-    laws = {text: formula_of(text, dataset) for text in effect.equivalents}
-    plain = [text for text, law in laws.items()
-             if law is not None and len(law.constants) <= len(effect.constants)]  # fmt: skip
-    words = (_in_words(text, dataset) for text in plain)
-    return next((text for text in words if text != effect.name), "")
+    models = {row["law"]: row for row in done.hypotheses if row["model"]}
+    own = models.get(done.effect.name)
+    changed = {text: row for text, row in models.items() if row["code"] in CHANGES}
+    for text in effect.equivalents:
+        row, law = changed.get(text), formula_of(text, dataset)
+        if row is not None:
+            words, n = change(row["code"], text), len(effect.constants)
+            n += _n_values(row) - _n_values(own) if own else 0
+        elif law is not None:
+            words, n = _in_words(text, dataset), len(law.constants)
+        else:
+            continue
+        if words != effect.name and n <= len(effect.constants):
+            return words
+    return ""
+
+
+def _n_values(row):
+    """Numbers of the law of a row of the table."""
+    values = row["model"]["values"].values()
+    return sum(len(value) if isinstance(value, dict) else 1 for value in values)
 
 
 def _ratio(ratio):

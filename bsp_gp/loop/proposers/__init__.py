@@ -9,6 +9,7 @@ from bsp_gp.loop.proposers.centres import Centres
 from bsp_gp.loop.proposers.companions import Companions
 from bsp_gp.loop.proposers.contacts import Contacts
 from bsp_gp.loop.proposers.defects import Defects
+from bsp_gp.loop.proposers.delayed import Delayed
 from bsp_gp.loop.proposers.exponents import Declared
 from bsp_gp.loop.proposers.frames import Frames
 from bsp_gp.loop.proposers.growing import Growing
@@ -56,9 +57,9 @@ def standard(grammar, dataset, **settings):
     inside = Inside(laws, dataset)
     return [
         laws, inside, Polynomials(laws), Regimes(), Spun(), Blown(), Swings(inside),
-        ByOwner(laws), OwnLaws(laws), Declared(), Varying(), Growing(), Winds(), Periods(),
-        Ripples(), Pulsing(), Alternating(laws, dataset), Frames(), Inclinations(), References(),
-        Sources(), Hidden(), Centres(), Aslant(), Companions(), Kicks(), Contacts(), Walls(),
-        Rods(), Anchors(), Measurement(), LateLogs(), Defects(), Hands(), Noise(),
+        ByOwner(laws), OwnLaws(laws), Declared(), Varying(), Growing(), Delayed(), Winds(),
+        Periods(), Ripples(), Pulsing(), Alternating(laws, dataset), Frames(), Inclinations(),
+        References(), Sources(), Hidden(), Centres(), Aslant(), Companions(), Kicks(), Contacts(),
+        Walls(), Rods(), Anchors(), Measurement(), LateLogs(), Defects(), Hands(), Noise(),
         Unfollowed(laws),
     ]  # fmt: skip
