@@ -298,7 +298,7 @@ def _name(effect, parts, other):
         return f"{CAUSES['reference']} ({effect.name}), which the others pull"
     if effect.kind == "declared_term_change":
         known = [c for c in effect.constants if is_number(c.low) and not c.entity]
-        own = [c for c in known if re.fullmatch(r"[ns]\d+|wind_[xyz]\d+", c.name)]
+        own = [c for c in known if re.fullmatch(r"[ns]\d+|delay\d+|wind_[xyz]\d+", c.name)]
         return change(effect.code, effect.name, own)
     if between := between_bumpers(effect):
         return between

@@ -1,8 +1,13 @@
-"""Bodies that pull or push all others by strengths of their own: charges, unknown masses."""
+"""Bodies that pull or push all others by strengths of their own: charges, unknown masses.
+
+Of charges those of both bodies count, so that what they do to each other has one size.
+"""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from bsp_gp.data.ephemeris import GRAVITATIONAL_CONSTANT
 from bsp_gp.fitting.hypothesis import Forces
@@ -23,6 +28,8 @@ from bsp_gp.units import Unit
 FEWEST, MOST = 3, 60
 """Bodies of which strengths are asked; of a pair each has one that acts on the other alone, which
 is asked for where their masses are not known."""
+MOST_CHARGED = 12
+"""Bodies of which charges are asked, with a column for each pair."""
 POWERS = (-3, -2, -1, 1)
 """Of the distance."""
 ATTRACTION = (
@@ -82,7 +89,10 @@ class Sources:
                 strengths[acts] = score.amplitudes
                 own = (names, strengths, score.rank, height)
                 is_gravity = view.is_sky and np.max(strengths) > 0
-                found.append(_gravity(view, *own) if is_gravity else _proposal(view, power, *own))
+                pull = _text(_column(view), power), Unit.of(m=1 - power, s=-2)
+                found.append(_gravity(view, *own) if is_gravity else _proposal(view, *pull, *own))
+            if not view.is_sky and FEWEST <= len(names) <= MOST_CHARGED:
+                found += _charges(view, names, power, alike)
         # Where some law with numbers that are known does as well, no other is asked for; gravity of
         # bodies of the sky is, before all else.
         least = view.promised - view.criteria.noise_nats
@@ -96,6 +106,19 @@ class Sources:
 
 def _columns(view, names, power):
     """Moments of a pull of strength one to each body, beside no other, (n, len(names))."""
+    return _moments(view, names, power, len(names), lambda one, other, mass: (other, 1.0))
+
+
+def _moments(view, names, power, n_columns, place):
+    """Moments of pulls of bodies on each other, (n, n_columns).
+
+    Parameters
+    ----------
+    place : callable
+        The column of a pull on one body to another, by their numbers in `names`, and the
+        acceleration by it, by the mass of the one.
+    """
+    masses = {e.name: float(e.mass) for s in view.dataset.scenes for e in s.entities}
     parts = []
     for batch in view.response.regression.batches:
         places = batch.positions  # (n, S, N, d)
@@ -105,19 +128,66 @@ def _columns(view, names, power):
         is_other = np.isfinite(distance) & (distance > 0)
         safe = np.where(is_other, distance, 1.0)
         pulls = np.where(is_other, np.nan_to_num(gaps) * safe ** (power - 1), 0.0)
-        index = np.array([[names.index(n) for n in scene] for scene in batch.bodies.names])
-        values = np.zeros((*pulls.shape[:3], len(names), pulls.shape[-1]))
-        for s, which in enumerate(index):
-            values[:, s][:, :, which] = pulls[:, s]
-        moments = batch.whiten(values)  # (m, S, 1, names, 1)
-        parts.append(moments[:, :, 0, :, 0].reshape(-1, len(names)))
+        values = np.zeros((*pulls.shape[:3], n_columns, pulls.shape[-1]))
+        for s, here in enumerate(batch.bodies.names):
+            for r, one in enumerate(np.asarray(here)[own]):
+                for k, other in enumerate(here):
+                    if one != other:
+                        at, size = place(names.index(one), names.index(other), masses[one])
+                        values[:, s, r, at] += size * pulls[:, s, r, k]
+        moments = batch.whiten(values)  # (m, S, 1, n_columns, 1)
+        parts.append(moments[:, :, 0, :, 0].reshape(-1, n_columns))
     return np.concatenate(parts)
 
 
-def _proposal(view, power, names, strengths, rank, height):
-    """The pull with a property more, one number of each body."""
-    column = numbered("strength", view.dataset.property_names)
-    unit = Unit.of(m=1 - power, s=-2)
+def _charges(view, names, power, alike):
+    """Charges that push apart what is alike, or pull it together, where one for all does less.
+
+    Parameters
+    ----------
+    alike : float, nats
+        The evidence of a pull to all others alike.
+    """
+    pairs = {}
+    for one, other in combinations(range(len(names)), 2):
+        pairs[one, other] = pairs[other, one] = len(pairs) // 2
+    columns = _moments(
+        view, names, power, len(pairs) // 2, lambda one, other, mass: (pairs[one, other], 1 / mass)
+    )
+    if not np.isfinite(columns).all() or not np.any(columns, axis=0).all():
+        return
+    ones, others = np.array([pair for pair in pairs if pair[0] < pair[1]]).T
+    basis, reach = np.linalg.qr(view.beside(columns))
+    target = basis.T @ view.left
+    pulls = np.linalg.lstsq(reach, target, rcond=1e-10)[0]
+    for sign, way in ((-1.0, "p_i - p_j"), (1.0, "p_j - p_i")):
+        products = np.zeros((len(names), len(names)))
+        products[ones, others] = products[others, ones] = sign * pulls
+        sizes, vectors = np.linalg.eigh(products)
+        charges = vectors[:, -1] * np.sqrt(max(sizes[-1], np.finfo(float).tiny))
+        charges = charges / np.sign(charges[np.argmax(np.abs(charges))])
+        charges = least_squares(
+            lambda q, sign=sign: target - sign * (reach @ (q[ones] * q[others])), charges
+        ).x
+        slopes = np.zeros((len(ones), len(names)))
+        slopes[np.arange(len(ones)), ones] = sign * charges[others]
+        slopes[np.arange(len(ones)), others] = sign * charges[ones]
+        height = evidence_of(view, columns @ slopes)
+        if height - alike > view.criteria.noise_nats and np.all(charges):
+            column = _column(view)
+            text = f"{column}_i * {column}_j * norm(p_i - p_j)^{power} * normalize({way})"
+            unit = Unit.of(kg=1, m=1 - power, s=-2) ** 0.5
+            yield _proposal(view, text, unit, names, charges, len(names), height)
+
+
+def _column(view):
+    """A name for a property more."""
+    return numbered("strength", view.dataset.property_names)
+
+
+def _proposal(view, text, unit, names, strengths, rank, height):
+    """A law with a property more, one number of each body."""
+    column = _column(view)
     spread = WIDE * float(np.sqrt(np.mean(np.square(strengths))))
     prior = Prior("truncated_normal", mean=0.0, sd=spread)
     items = tuple(Latent(f"{column}[{name}]", column, prior, (("", name),)) for name in names)
@@ -125,7 +195,6 @@ def _proposal(view, power, names, strengths, rank, height):
     part = Properties(Latents(items), ((column, unit),), values)
     seen = part.seen(view.dataset)
     types = dataset_types(replace(seen, property_units={**seen.property_units, column: unit}))
-    text = _text(column, power)
     formula = parse_formula(text, types, units=view.dataset.units)
     return Proposal(
         "law_by_source", text, view.hypothesis + part + Forces(ForceLaw((Term(formula),), {})),
