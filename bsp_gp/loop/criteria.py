@@ -47,10 +47,10 @@ CAUSES = (
     "law", "law_by_body", "law_by_scene", "law_by_source", "gravity", "exponent", "number",
     "constant_per_body", "constant_per_scene", "period", "ripple", "pulsing", "growing",
     "delayed", "wind", "belt", "scale", "clock", "tilt", "zero", "pivot", "slant", "drift",
-    "offset", "origin", "length", "delay", "exposure", "lens", "shutter", "perspective",
-    "inclined", "late_log", "swapped_tracks", "lost_track", "untrimmed", "bad_row", "clock_jump",
-    "hidden_body", "orbit", "trend", "bent_trend", "contact", "collision", "bounce", "rod", "wire",
-    "frame", "reference", "kicks", "noise", "varying_strength", "free_force",
+    "offset", "origin", "length", "delay", "exposure", "lens", "decentred", "zoom", "shutter",
+    "perspective", "inclined", "late_log", "swapped_tracks", "lost_track", "untrimmed", "bad_row",
+    "clock_jump", "hidden_body", "orbit", "trend", "bent_trend", "contact", "collision", "bounce",
+    "rod", "wire", "frame", "reference", "kicks", "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
 KICKED = ("contact", "collision")

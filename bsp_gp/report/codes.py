@@ -23,6 +23,8 @@ CAUSES = {
     "shutter": "a shutter that reads the picture row by row",
     "inclined": "an orbit whose plane is inclined to the sky", "late_log": "a log that is late",
     "lens": "a lens that distorts", "perspective": "perspective",
+    "decentred": "a lens that distorts, off the middle of the picture",
+    "zoom": "a camera that zooms",
     "swapped_tracks": "tracks that are swapped", "lost_track": "a track that is lost",
     "untrimmed": "rows before a body is let go, or after its motion has ended",
     "bad_row": "a bad row", "clock_jump": "times that are off from a row on",

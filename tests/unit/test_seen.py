@@ -35,6 +35,9 @@ KINDS = {
     "slant": (Instrument("slant", (1,), **PICTURE), (0.15,)),
     "perspective": (Instrument("perspective", (0,), **PICTURE), (0.1,)),
     "lens": (Instrument("lens", (0, 1), **PICTURE), (0.08,)),
+    "tangential": (Instrument("tangential", (0, 1), **PICTURE), (0.08, 0.02, -0.03)),
+    "decentred": (Instrument("decentred", (0, 1), **PICTURE), (0.08, 0.2, -0.3)),
+    "zoom": (Instrument("zoom", (0, 1), 0.2, epoch=0.5, **PICTURE), (0.1, 0.02, -0.03)),
     "drift": (Instrument("drift", (0, 1), 1.0, epoch=0.5), (0.2, -0.1)),
     "drift by scene": (
         Instrument("drift", (0, 1), 1.0, whose=("s", "other")),
@@ -80,7 +83,24 @@ def true_of(name, seen, time, is_driven, values):
     if name == "perspective":
         return middle + (seen - middle) * (1 + values[0] * away[0]), time
     if name == "lens":
-        return middle + (seen - middle) * (1 + values[0] * away @ away), time
+        bend = values[0] * away @ away
+        roots = np.roots([bend, 0.0, -1.0, 1.0])
+        return middle + (seen - middle) * roots[np.argmin(np.abs(roots - 1.0))].real, time
+    if name == "tangential":  # Brown's two numbers beside the radial one
+        (bend, *aside), square = values, away @ away
+        roots = np.roots([bend * square, 0.0, -1.0, 1.0])
+        radial = (seen - middle) * roots[np.argmin(np.abs(roots - 1.0))].real
+        place = middle + radial
+        own = (place - middle) / size
+        return place + size * (2 * own * (own @ aside) + own @ own * np.array(aside)), time
+    if name == "decentred":
+        shift = size * np.array(values[1:])
+        place, _ = true_of("lens", seen - shift, time, is_driven, values[:1])
+        return place + shift, time
+    if name == "zoom":
+        late = time - 0.5
+        away = seen - middle - size * np.array(values[1:]) * late
+        return middle + away / (1 + values[0] * late), time
     if name == "offset":
         return seen - is_driven * np.array(values), time
     epoch = 0.5 if name == "drift" else 0.0
@@ -111,8 +131,8 @@ def test_a_law_moves_to_seen_coordinates(name):
             for s in (1, -1)
         ]
         speeds[r] = (ends[0][0] - ends[1][0]) / (ends[0][1] - ends[1][1])
-    post = seen_of(name, POST, 0.0, True, values)[0]
-    data = np.concatenate([seen, np.broadcast_to(post, (len(TIMES), 1, 2))], axis=1)
+    post = np.stack([seen_of(name, POST, t, True, values)[0] for t in TIMES])
+    data = np.concatenate([seen, post[:, None]], axis=1)
     law = through(LAW, (part, values))
     flow = flow_of(law, [scene_of(times, CREW, data)])
     first = np.stack([seen[0], speeds])[..., None]
@@ -288,13 +308,10 @@ def turned(angle, places):
     return places @ np.array([[c, s], [-s, c]])
 
 
-def lens_undone(kappa, middle, size, places):
-    """What a lens makes of places: X - M = (1 + kappa r^2) (x - M), solved for x."""
-    seen = np.array(places)
-    for _ in range(60):
-        r2 = np.square((seen - middle) / size).sum(axis=-1, keepdims=True)
-        seen = middle + (places - middle) / (1 + kappa * r2)
-    return seen
+def through_lens(kappa, middle, size, places):
+    """What a lens makes of places: x - M = (1 - kappa r^2) (X - M)."""
+    r2 = np.square((places - middle) / size).sum(axis=-1, keepdims=True)
+    return middle + (places - middle) * (1 - kappa * r2)
 
 
 def check_found(found, **truth):
@@ -320,7 +337,7 @@ def test_a_tilted_camera_with_another_scale_is_found():
 
 def test_a_lens_is_found_where_flights_are_declared():
     middle, size = np.array([0.0, 2.0]), 3.0
-    data = photographed(throws(sigma=0.002), lambda t, x: (t, lens_undone(0.05, middle, size, x)))
+    data = photographed(throws(sigma=0.002), lambda t, x: (t, through_lens(0.05, middle, size, x)))
     part = Instrument("lens", (0, 1), middle=tuple(middle), size=size)
     check_found(fit(Hypothesis.from_laws(data, [WEIGHT]) + part, data), lens_xy=0.05)
 

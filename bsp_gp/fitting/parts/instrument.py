@@ -14,14 +14,18 @@ from bsp_gp.units import DIMENSIONLESS, Unit
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 LARGE = 0.3
 """A relative error or an angle beyond which nobody would believe a measurement."""
+ASIDE = 1.0
+"""Half widths of the picture by which the middle of a lens may be off its own."""
 UNITS = {
     "drift": LENGTH / TIME, "offset": LENGTH, "delay": TIME, "exposure": TIME**2,
-    "shutter": TIME / LENGTH, "zero": LENGTH,
+    "shutter": TIME / LENGTH, "zero": LENGTH, "zoom": DIMENSIONLESS / TIME,
 }  # fmt: skip
 TEXTS = {
     "scale": "x = (1 + {}) X", "clock": "t = (1 + {}) T", "tilt": "x = R({}) X",
     "slant": "X - M = (1 + {}) (x - M) along the axis",
-    "perspective": "X - M = (1 + {} u) (x - M)", "lens": "X - M = (1 + {} r^2) (x - M)",
+    "perspective": "X - M = (1 + {} u) (x - M)", "lens": "x - M = (1 - {} r^2) (X - M)",
+    "decentred": "x - M = (1 - {} r^2) (X - M), off the middle",
+    "zoom": "x - M = (1 + {} t) (X - M)",
     "drift": "x = X + ({}) t of moving bodies", "offset": "x = X + ({}) of fixed bodies",
     "delay": "x(t) = X(t - {})", "exposure": "x = X + {} / 2 X''",
     "shutter": "x(t) = X(t + {} (x - M))", "zero": "x = X - {}",
@@ -69,8 +73,10 @@ class Instrument(Part):
         axes = ["xyz"[k] for k in self.axes]
         marks = axes if self.code in ("drift", "offset") else ["".join(axes)]
         marks = ["across", "along"] if self.code == "pivot" else marks
+        marks = ["", *axes] if self.code in ("decentred", "tangential", "zoom") else marks
+        code = "decentred" if self.code == "tangential" else self.code
         return tuple(
-            "_".join(filter(None, (self.code, mark, who)))
+            "_".join(filter(None, (code, mark, who)))
             for who in self.whose or ("",) for mark in marks
         )  # fmt: skip
 
@@ -83,10 +89,29 @@ class Instrument(Part):
     def parameters(self):
         """One per name."""
         unit, values = UNITS.get(self.code, DIMENSIONLESS), self.values or (0.0,) * len(self.names)
+        ends = [(self.lowest, self.limit)] * len(self.names)
+        if self.code == "decentred":
+            ends[1:] = [(-ASIDE, ASIDE)] * len(self.axes)
         return tuple(
-            Parameter(name, "", unit, self.lowest, self.limit, float(value))
-            for name, value in zip(self.names, values, strict=True)
+            Parameter(name, "", unit, *own, float(value))
+            for name, own, value in zip(self.names, ends, values, strict=True)
         )
+
+    @property
+    def in_small(self):
+        """What does the same while its numbers are small, and is linear in each of them.
+
+        A lens whose middle is elsewhere bends tangentially too (Brown 1966): where that is says
+        nothing while it does not bend.
+        """
+        return replace(self, code="tangential") if self.code == "decentred" else self
+
+    def with_small(self, values):
+        """The part by numbers of what it is `in_small`."""
+        bend, *rest = map(float, values)
+        if self.code == "decentred":
+            rest = [max(-ASIDE, min(-number / bend, ASIDE)) if bend else 0.0 for number in rest]
+        return replace(self, values=(bend, *rest))
 
     def at(self, values):
         """The part at other values, mapping of name to number."""
@@ -147,9 +172,51 @@ def _picture(part, g, place, time, is_driven, c):
     """Distances from the middle grow by a number, and across the picture or away from there."""
     away = [g.sub(x, g.number(m)) for x, m in zip(place, part.middle, strict=True)]
     sizes = [g.div(away[k], g.number(part.size)) for k in part.axes]
-    growth = {"slant": g.one, "perspective": sizes[0], "lens": g.dot(sizes, sizes)}[part.code]
-    by, axes = g.mul(c[0], growth), range(len(place)) if part.code == "perspective" else part.axes
+    by, axes = c[0], range(len(place)) if part.code == "perspective" else part.axes
+    if part.code == "perspective":
+        by = g.mul(by, sizes[0])
+    elif part.code == "lens":  # what undoes 1 - c r^2: the root f of f = 1 + c r^2 f^3, by Newton
+        bend = g.mul(by, g.dot(sizes, sizes))
+        root = g.add(g.one, bend)
+        for _ in range(3):
+            square = g.mul(bend, g.call("square", root))
+            above = g.sub(g.one, g.mul(g.number(2.0), g.mul(square, root)))
+            root = g.div(above, g.sub(g.one, g.mul(g.number(3.0), square)))
+        by = g.sub(root, g.one)
     return [g.add(x, g.mul(by, away[k])) if k in axes else x for k, x in enumerate(place)]
+
+
+def _decentred(part, g, place, time, is_driven, c):
+    """A lens whose middle is elsewhere."""
+    by, shift = part.axes, [g.mul(g.number(part.size), number) for number in c[1:]]
+    place = [g.sub(x, shift[by.index(k)]) if k in by else x for k, x in enumerate(place)]
+    place = _picture(replace(part, code="lens"), g, place, time, is_driven, c[:1])
+    return [g.add(x, shift[by.index(k)]) if k in by else x for k, x in enumerate(place)]
+
+
+def _tangential(part, g, place, time, is_driven, c):
+    """The same to first order in how far off the middle it is."""
+    place = _picture(replace(part, code="lens"), g, place, time, is_driven, c[:1])
+    own = [g.div(g.sub(place[k], g.number(part.middle[k])), g.number(part.size)) for k in part.axes]
+    square, along = g.dot(own, own), g.mul(g.number(2.0), g.dot(own, c[1:]))
+    for k, sized, aside in zip(part.axes, own, c[1:], strict=True):
+        bend = g.add(g.mul(along, sized), g.mul(square, aside))
+        place[k] = g.add(place[k], g.mul(g.number(part.size), bend))
+    return place
+
+
+def _zoom(part, g, place, time, is_driven, c):
+    """A picture that grows about a place that may be off its middle."""
+    late = g.sub(time, g.number(part.epoch))
+    growth = g.add(g.one, g.mul(c[0], late))
+    moved = dict(zip(part.axes, c[1:], strict=True))
+    out = []
+    for k, (x, m) in enumerate(zip(place, part.middle, strict=True)):
+        away = g.sub(x, g.number(m))
+        if k in moved:
+            away = g.sub(away, g.mul(g.mul(g.number(part.size), moved[k]), late))
+        out.append(g.add(g.div(away, growth), g.number(m)))
+    return out
 
 
 def _drift(part, g, place, time, is_driven, c):
@@ -170,5 +237,6 @@ def _offset(part, g, place, time, is_driven, c):
 
 _UNDO = {
     "scale": _scale, "tilt": _tilt, "slant": _picture, "perspective": _picture, "lens": _picture,
-    "drift": _drift, "offset": _offset, "zero": _zero, "pivot": _pivot,
+    "decentred": _decentred, "tangential": _tangential, "zoom": _zoom, "drift": _drift,
+    "offset": _offset, "zero": _zero, "pivot": _pivot,
 }  # fmt: skip

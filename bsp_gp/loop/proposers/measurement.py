@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from bsp_gp.data.extent import is_of_the_sky
-from bsp_gp.fitting.parts.instrument import Instrument
+from bsp_gp.fitting.parts.instrument import LARGE, Instrument
 from bsp_gp.fitting.tangent import instrument_columns
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.loop.view import gains
@@ -18,6 +18,8 @@ FRAMES = 3.0
 """Delays and exposures that are believed, in median time steps."""
 FAR = 0.1
 """Offsets that are believed, in half the width of the picture."""
+ODD = ("decentred", "zoom")
+"""What fewer cameras do: what grows with time in a picture is a force as a rule."""
 MOST_BODIES, MOST_SCENES = 6, 20
 """Bodies and scenes up to which each is asked for a delay and a drift of its own."""
 
@@ -36,7 +38,8 @@ class Measurement:
         alike, tried = [_alike(part) for part, _ in told], []
         for part, columns in told:
             score = view.tangent.score(columns)
-            log_prior = -view.criteria.cause_nats - math.log(alike.count(_alike(part)))
+            n_causes = 2 if part.code in ODD else 1
+            log_prior = -n_causes * view.criteria.cause_nats - math.log(alike.count(_alike(part)))
             proposal = _proposal(view, part, score, log_prior)
             if proposal is not None:
                 by_chance = gains(view.tangent.projected(columns), view.row_draws)
@@ -60,7 +63,7 @@ def _alike(part):
 def _columns(fit, part):
     """A part and what it changes of tracks; of scenes that differ the same of each one alone."""
     with one_thread(), np.errstate(all="ignore"):
-        columns = instrument_columns(fit, part)
+        columns = instrument_columns(fit, part.in_small)
     yield part, columns
     if len(part.whose) > 1:
         for name, own in zip(part.whose, np.split(columns, len(part.whose)), strict=True):
@@ -79,7 +82,7 @@ def _proposal(view, part, score, log_prior):
     gain = score.statistic - lost - 2.0 * (score.rank - 1)  # more numbers take more of noise
     if not known.any() or not gain > 0:
         return None
-    hypothesis = view.hypothesis + replace(part, values=tuple(values.tolist()))
+    hypothesis = view.hypothesis + part.with_small(values)
     return Proposal(
         part.code, part.describe(), hypothesis, log_prior, gain, score.rank, kind="measurement"
     )
@@ -101,6 +104,9 @@ def kinds_of(dataset, fit):
     scale, clock = Instrument("scale"), Instrument("clock")
     out = [scale, clock, drift]
     out.append(Instrument("exposure", (), (FRAMES * step) ** 2))
+    if not is_of_the_sky(dataset) and not dataset.units.is_angle:
+        zoom = {"limit": LARGE / span, "epoch": drift.epoch, **picture}
+        out += [Instrument("zoom", own, **zoom) for own in ((), axes)]
     if dataset.is_film:  # the picture is read within a frame
         out += [Instrument("shutter", (k,), step / size, **picture) for k in axes]
     if len(axes) > 1:
@@ -114,7 +120,7 @@ def kinds_of(dataset, fit):
         if len(axes) < 3 or not is_of_the_sky(dataset):  # no camera saw an ephemeris in space
             for k in axes:
                 out += [Instrument(code, (k,), **picture) for code in ("slant", "perspective")]
-            out.append(Instrument("lens", axes, **picture))
+            out += [Instrument(code, axes, **picture) for code in ("lens", "decentred")]
     # Of what turns all round, out of balance does nearly the same.
     if dataset.units.is_angle and len(axes) == 1 and 2 * size < math.pi:
         out += [Instrument(code, axes) for code in ("zero", "pivot")]
