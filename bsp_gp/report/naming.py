@@ -389,6 +389,9 @@ def kept_curve(effect):
         return CAUSES["wire"]
     equation = re.sub(r"\b([xyz])_\w+", r"\1", effect.name)
     left, _, right = equation.partition(" = ")
+    if "/" in right:  # in powers of a way from the middle
+        along = "x" if left == "y" else "y"
+        return f"{CAUSES['wire']}, {left} as a polynomial of degree {right.count(' + ')} in {along}"
     terms = right.split(" + ")
     rail = [c for c in effect.constants if c.name.startswith("rail_")]
     if len(rail) == len(terms):  # in the end, and not as it was seen

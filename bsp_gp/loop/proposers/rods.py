@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from string import ascii_lowercase
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -40,10 +41,14 @@ MISFIT = 9.0
 """Mean square of what the law leaves, in the same, from which bodies may be held."""
 MOST = 0.7
 """Part of all misfit that must be of bodies on rods, if nothing else is to be looked at first."""
-CURVED = (2, 3, 4)
-"""Degrees of curves along which bodies may go."""
+CURVED, WRITTEN = tuple(range(2, 13)), 4
+"""Degrees of curves along which bodies may go, and the highest that is written in powers of a
+place; beyond, in powers of the way from the middle of the track in its half width."""
 COMES_BACK = 0.5
 """Part of the way along a curve that a body must come back."""
+NARROW, DIPS = 0.05, 0.5
+"""Part of the extent of a track within which it keeps to a curve; part of its rows where this bends
+upwards, if it is in a dip."""
 LEANING = 0.1
 """Part of the greatest component of a weight from which another one is asked for."""
 LEAST_ROWS = 12
@@ -90,7 +95,7 @@ class Rods:
         tracks = _tracks(view.dataset)
         names = dict.fromkeys(s.names[k] for s in view.dataset.scenes for k in s.dynamic)
         free = [name for name in names if name in tracks and name not in held]
-        found = [_alone(name, tracks[name]) for name in free]
+        found = [_alone(name, tracks[name], view.dataset.up or "") for name in free]
         others = free if len(free) <= MOST_BODIES else []
         still = [name for name in tracks if name not in names]
         found += [
@@ -117,8 +122,16 @@ def _tracks(dataset):
     return out
 
 
-def _alone(name, tracks):
-    """The line or curve along which, or the point about which a body moves; or None."""
+def _alone(name, tracks, up=""):
+    """The line or curve along which, or the point about which a body moves; or None.
+
+    Parameters
+    ----------
+    tracks : dict of str to ndarray, shape (T, d)
+        By scene.
+    up : str
+        The declared vertical, ``"y"`` or ``"-y"``; none = not declared.
+    """
     places = np.concatenate(list(tracks.values()))
     seen = np.isfinite(places).all(axis=1)
     if seen.sum() < LEAST_ROWS:
@@ -132,7 +145,7 @@ def _alone(name, tracks):
         text = " + ".join(f"{axes[-1][k]:.6g} * {x}_i" for k, x in enumerate(names)) + " = {0}"
         values = (float(middle @ axes[-1]),)
         return _Kept("wire", text, (name, ""), ("b",), values, level, normal=tuple(axes[-1]))
-    curve = _along_a_curve(name, tracks) if len(middle) == 2 else None
+    curve = _along_a_curve(name, tracks, up) if len(middle) == 2 else None
     centre, radius = _sphere(places[seen])
     spread, level = deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
     if not _swings(tracks, axes[0]) and bend < ARC * level:
@@ -156,20 +169,20 @@ def _swings(tracks, axis):
     return any(len(own) > 1 and _gone_back(own) > COMES_BACK * np.ptp(own) for own in rows)
 
 
-def _along_a_curve(name, tracks):
+def _along_a_curve(name, tracks, up):
     """The curve in a plane, one coordinate as a polynomial of the other, that a body goes along.
 
     None where there is none, and where nothing comes back along it: what is thrown flies along a
-    parabola as well.
+    parabola as well. It does not fly through a dip.
     """
     for of, along in ((1, 0), (0, 1)):
         rows = [p[np.isfinite(p).all(axis=1)] for p in tracks.values()]
         places = np.concatenate(rows)
         swept = float(np.ptp(places[:, along]))
         back = max(_gone_back(own[:, along]) for own in rows if len(own) > 1)
-        if not back > COMES_BACK * swept:
-            continue
-        for degree in CURVED:
+        comes_back, may_dip = back > COMES_BACK * swept, up[-1:] == "xy"[of]
+        found = []  # (spread, level, curve)
+        for degree in CURVED if comes_back or may_dip else ():
             curve = np.polynomial.Polynomial.fit(places[:, along], places[:, of], degree)
             slope = curve.deriv()
             if np.abs(slope(places[:, along])).max() > STEEP:
@@ -179,15 +192,32 @@ def _along_a_curve(name, tracks):
                 for key, p in tracks.items()
             }
             spread, level = deviation(left)
-            if _is_constant(spread, level, places):
-                values = tuple(curve.convert().coef.tolist())
-                terms = ["{0}", f"{{1}} * {'xy'[along]}_i"]
-                terms += [f"{{{k}}} * {'xy'[along]}_i^{k}" for k in range(2, degree + 1)]
-                text = f"{'xy'[of]}_i = " + " + ".join(terms)
-                stems = tuple(f"rail_{k}" for k in "abcde"[: degree + 1])
-                return _Kept("wire", text, (name, ""), stems, values, level, True, spread=spread,
-                             way=tuple(float(k == of) for k in (0, 1)))  # fmt: skip
+            lift = slope.deriv()(places[:, along]) * (-1 if up.startswith("-") else 1)
+            is_held = comes_back or np.mean(lift > 0) > DIPS
+            is_narrow = spread < NARROW * float(np.ptp(places, axis=0).max())
+            if is_held and is_narrow and _is_constant(spread, level, places):
+                found.append((spread, level, curve))
+        if found:
+            least = min(spread for spread, _, _ in found)
+            return _kept_curve(name, of, *next(one for one in found if one[0] < least / CLOSER))
     return None
+
+
+def _kept_curve(name, of, spread, level, curve):
+    """A body that is kept to a curve of one coordinate, a polynomial of the other."""
+    place, plain, degree = f"{'yx'[of]}_i", curve.convert(), curve.degree()
+    if degree > WRITTEN:
+        low, high = curve.domain.tolist()
+        middle, half = (float(f"{n:.4g}") for n in ((low + high) / 2, (high - low) / 2))
+        place = f"(({place} - {middle!r} [m]) / ({half!r} [m]))"
+        plain = curve.convert(domain=(middle - half, middle + half))
+    terms = ["{0}", f"{{1}} * {place}", *(f"{{{k}}} * {place}^{k}" for k in range(2, degree + 1))]
+    stems = tuple(f"rail_{k}" for k in ascii_lowercase[: degree + 1])
+    return _Kept(
+        "wire", f"{'xy'[of]}_i = " + " + ".join(terms), (name, ""), stems,
+        tuple(plain.coef.tolist()), level, True, spread=spread,
+        way=tuple(float(k == of) for k in (0, 1)),
+    )  # fmt: skip
 
 
 def _gone_back(places):
