@@ -155,9 +155,7 @@ def with_unix_times(table, units):
     if found is None:
         return table
     times, unit = found
-    table = replace(
-        table.assigned(t=times), units={**table.units, "t": "s"}, is_dated=True
-    )
+    table = replace(table.assigned(t=times), units={**table.units, "t": "s"}, is_dated=True)
     return table.noted(f"times count {unit} since 1970: they are in seconds since the first")
 
 

@@ -116,9 +116,7 @@ class Declaration:
             changes["units"] = {**self.units, **reader.texts(units, "units")}
         if columns is not None:
             renames = reader.texts(columns, "columns")
-            changes["velocity"] = reader.choice(
-                renames, "velocity", SEEN, self.velocity
-            )
+            changes["velocity"] = reader.choice(renames, "velocity", SEEN, self.velocity)
             renames.pop("velocity", None)
             ours = _our_keys(renames)
             changes["columns"] = {**self.columns, **ours}

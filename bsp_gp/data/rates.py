@@ -12,13 +12,7 @@ import numpy as np
 
 from bsp_gp.data.clock import slope_on_clock
 from bsp_gp.data.conversion import is_unit, size_of, unit_of
-from bsp_gp.data.headings import (
-    is_acceleration,
-    is_doubt,
-    is_own_speed,
-    is_rate,
-    words_of,
-)
+from bsp_gp.data.headings import is_acceleration, is_doubt, is_own_speed, is_rate, words_of
 from bsp_gp.data.notes import quoted
 from bsp_gp.data.scene import CHECK, SUMS
 from bsp_gp.data.sight import along_sight, error_beside, sighted

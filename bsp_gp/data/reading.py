@@ -33,13 +33,7 @@ from bsp_gp.data.declared_noise import doubts_of_noise, noise_of_all, with_noise
 from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.horizons import without_header
 from bsp_gp.data.meeting import without_meetings
-from bsp_gp.data.named_units import (
-    half_said,
-    units_of,
-    with_angles,
-    with_inputs,
-    with_their_names,
-)
+from bsp_gp.data.named_units import half_said, units_of, with_angles, with_inputs, with_their_names
 from bsp_gp.data.on_maps import from_maps
 from bsp_gp.data.polar import from_polar
 from bsp_gp.data.properties import read_properties
@@ -52,13 +46,7 @@ from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_named_dates, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.table import Table
-from bsp_gp.data.twice import (
-    by_date,
-    measures_at_once,
-    without_copies,
-    without_held,
-    without_slips,
-)
+from bsp_gp.data.twice import by_date, measures_at_once, without_copies, without_held, without_slips
 from bsp_gp.data.uncalibrated import without_other_units
 from bsp_gp.data.unread import MOST_TOLD, require_renames, told_unused
 from bsp_gp.errors import DataError
@@ -221,13 +209,11 @@ def _free_of_the_sky(scenes, declaration, units):
     return {body.name for body in bodies if body.name in said or "mass" in body.properties}
 
 
-
 def _with_remedies(system, of_masses):
     """The units, and what to say where a mass turns out to be needed."""
     if not of_masses or "mass" in system.declared:
         return system
     return replace(system, remedies=MappingProxyType({"kg": of_masses}))
-
 
 
 def split_of(declaration, names):
@@ -251,7 +237,6 @@ def split_of(declaration, names):
                 note = (f"only {side} was declared; the other scenes are {other}",)
             break
     return sides["train"], sides["test"], note
-
 
 
 def _scaled(latent, names, scale):
@@ -283,7 +268,6 @@ def _latents(declaration, conversion, rows, roster):
         }
         latents.append(replace(latent, **changes))
     return tuple(latents), {k: v for k, v in units.items() if k not in PROPERTY_UNITS}
-
 
 
 def _up(declaration, n_dims):
