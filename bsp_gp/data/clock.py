@@ -68,7 +68,9 @@ def check_declared_rate(rows, declaration, second):
     name = "dt" if declaration.fps is None else "fps"
     value = f"{name} = {getattr(declaration, name):g}"
     usual = {}
-    for scene, gaps in _gaps_of_scenes(rows).items():
+    _, later, steps = rows.steps
+    for scene in np.unique(rows.scene[later]).tolist():
+        gaps = steps[rows.scene[later] == scene]
         counts = np.maximum(np.round(gaps / step), 1)
         # Digits that were rounded leave the mean right, some rows at odd times the median.
         means = gaps.sum() / counts.sum(), np.median(gaps / counts)
@@ -89,15 +91,6 @@ def check_declared_rate(rows, declaration, second):
         f"{CHECK}rows are up to {most} frames of {value} apart: the times are those of column t; "
         f"if the recording has every frame, {name} contradicts them",
     )
-
-
-def _gaps_of_scenes(rows):
-    """Steps of time between successive rows of an entity, by scene code."""
-    key = rows.tracks
-    order = np.argsort(key, kind="stable")
-    same = np.diff(key[order]) == 0
-    gaps, scene = np.diff(rows.times[order])[same], rows.scene[order[1:]][same]
-    return {int(code): gaps[scene == code] for code in np.unique(scene)}
 
 
 def clock_jumps(rows, scenes, second):

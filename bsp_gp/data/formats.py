@@ -275,7 +275,7 @@ def _without_untracked(frame, found):
     if "entity" not in frame or not any(re.fullmatch(r"(?i)track[\s_]?id", t) for t in theirs):
         return frame, ()
     is_none = frame["entity"].astype(str).str.strip().str.lower().isin(("none", ""))
-    if not is_none.any() or is_none.all():
+    if is_none.nunique() < 2:
         return frame, ()
     note = f"{theirs[0]} is None in {int(is_none.sum())} row(s), which are of no track: left out"
     return frame[~is_none], (note,)
@@ -315,13 +315,10 @@ def _without_dates(frame, names):
     read = seconds_of(cells)
     if read is None:
         return frame, [], False
-    seconds, start = read
-    n = len(frame)
-    new = {k: pd.Series(seconds[j * n : (j + 1) * n], frame.index) for j, k in enumerate(dated)}
-    out = frame.copy()
-    for key, values in new.items():
-        out[key] = values
-    return out, [f"times are in seconds since {start}"], True
+    frame = frame.copy()
+    for key, values in zip(dated, np.split(read[0], len(dated)), strict=True):
+        frame[key] = values
+    return frame, [f"times are in seconds since {read[1]}"], True
 
 
 def _require_even_rows(source, layout, head):
@@ -360,11 +357,9 @@ def _without_idle_ends(source, layout, head):
     if mark is None or _adds_up(source, layout, head):
         return source
     lines = source.head(None)
-    idle = [
-        k for k in range(layout.data_line, len(lines))
-        if not lines[k].rpartition(mark)[2].strip()
-    ]  # fmt: skip
-    idle = [k for k in idle if len(split_line(lines[k], mark)) == n_cells + 1]
+    idle = [k for k in range(layout.data_line, len(lines))
+            if not lines[k].rpartition(mark)[2].strip()
+            and len(split_line(lines[k], mark)) == n_cells + 1]  # fmt: skip
     if not idle:
         return source
     for k in idle:
@@ -424,22 +419,15 @@ def _read_frame(source, layout, as_text):
     numeric = [k for k in keys if not as_text and names[k] in number_columns(names)]
     text = [k for k in keys if as_text or names[k] in TEXT_COLUMNS]
     options = {
-        "sep": r"\s+" if layout.delimiter is None else layout.delimiter,
-        "names": list(keys),
-        "header": None,
-        "skiprows": layout.data_line,
-        "skip_blank_lines": False,
-        "skipinitialspace": True,
-        "keep_default_na": False,
-        "na_values": {
+        "sep": r"\s+" if layout.delimiter is None else layout.delimiter, "names": list(keys),
+        "header": None, "skiprows": layout.data_line, "skip_blank_lines": False,
+        "skipinitialspace": True, "keep_default_na": False, "na_values": {
             key: [""] if key in text else _NO_NUMBER if key in numeric else _NAN for key in keys
         },
-        "decimal": layout.decimal,
-        "encoding": source.encoding,
+        "decimal": layout.decimal, "encoding": source.encoding, "low_memory": False,
         "compression": None,  # it was read as text so far, whatever its name ends in
-        "low_memory": False,
-    }
-    if _pandas_version() < (3, 1):
+    }  # fmt: skip
+    if tuple(map(int, re.findall(r"\d+", pd.__version__)[:2])) < (3, 1):
         options["float_precision"] = "round_trip"  # later versions are exact without being asked
     frame = _parse(source, options, numeric, text, names)
     for key in set(keys) - {*text} if layout.decimal == "," else ():
@@ -454,10 +442,6 @@ def _with_points(cells):
         return cells
     numbers = pd.to_numeric(cells.str.replace(",", "."), errors="coerce")
     return cells if (numbers.isna() & cells.notna()).any() else numbers.astype(float)
-
-
-def _pandas_version():
-    return tuple(int(part) for part in re.findall(r"\d+", pd.__version__)[:2])
 
 
 def _parse(source, options, numeric, text, names):

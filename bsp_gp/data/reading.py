@@ -15,7 +15,12 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from bsp_gp.data.apart import below_each_other, may_be_below, recordings_apart
+from bsp_gp.data.apart import (
+    below_each_other,
+    may_be_below,
+    recordings_apart,
+    without_meetings,
+)
 from bsp_gp.data.assembly import (
     along_named_axis,
     axes_of,
@@ -26,14 +31,20 @@ from bsp_gp.data.assembly import (
 )
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import Conversion
-from bsp_gp.data.counted import with_counted_angles
 from bsp_gp.data.dates import as_declared, with_unix_times
 from bsp_gp.data.declaration import select_scenes
 from bsp_gp.data.declared_noise import doubts_of_noise, noise_of_all, with_noise_of_bodies
 from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.horizons import without_header
-from bsp_gp.data.meeting import without_meetings
-from bsp_gp.data.named_units import half_said, units_of, with_angles, with_inputs, with_their_names
+from bsp_gp.data.named_units import (
+    half_said,
+    units_of,
+    with_angles,
+    with_counted_angles,
+    with_inputs,
+    with_their_names,
+    without_other_units,
+)
 from bsp_gp.data.on_maps import from_maps
 from bsp_gp.data.polar import from_polar
 from bsp_gp.data.properties import read_properties
@@ -47,7 +58,6 @@ from bsp_gp.data.stars import PRIMARY, read_stars, with_named_dates, with_primar
 from bsp_gp.data.still import held_still
 from bsp_gp.data.table import Table
 from bsp_gp.data.twice import by_date, measures_at_once, without_copies, without_held, without_slips
-from bsp_gp.data.uncalibrated import without_other_units
 from bsp_gp.data.unread import MOST_TOLD, require_renames, told_unused
 from bsp_gp.errors import DataError
 

@@ -40,15 +40,13 @@ def by_date(rows):
     span = np.ptp(rows.times) if len(rows.times) else 0.0
     if rows.sigma is None or not 0 < span < np.abs(rows.times).min():
         return rows
-    order = np.lexsort((rows.times, rows.entity, rows.scene))
-    key = rows.tracks
-    own = np.argsort(key, kind="stable")
-    is_back = (np.diff(key[own]) == 0) & (np.diff(rows.times[own]) < 0)
-    if not is_back.any():
+    _, later, steps = rows.steps
+    back = later[steps < 0]
+    if not len(back):
         return rows
-    line = int(rows.lines[own[1:][is_back].min()])
+    line = int(rows.lines[back.min()])
     note = f"dates go back, first in line {line}: rows were put into the order of their dates"
-    return rows.taken(order).noted(note)
+    return rows.taken(np.lexsort((rows.times, rows.entity, rows.scene))).noted(note)
 
 
 def without_copies(rows):
