@@ -485,11 +485,8 @@ def _of_every_run(back):
 
 def _with_clock(found):
     """The only column with a unit of time as the time, where there is no other."""
-    clocks = [
-        h
-        for h in found
-        if h.sure == UNKNOWN and not h.ignored and h.unit and unit_of(h.unit) == _TIME
-    ]
+    clocks = [h for h in found if h.sure == UNKNOWN and not h.ignored and h.unit
+              and unit_of(h.unit) == _TIME]  # fmt: skip
     if len(clocks) != 1 or any(h.name in ("t", "frame") for h in found):
         return found
     return [replace(h, name="t", sure=GUESS) if h is clocks[0] else h for h in found]
@@ -619,7 +616,9 @@ def _our_name(name):
 @lru_cache(maxsize=1 << 12)
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
-    name = _FROM_WHERE.sub("", _last_of(name))
+    if _PATH.fullmatch(name):  # ``update Time`` of ``CUSTOM.updateTime``
+        name = _CAMEL.sub(r"\1 \2", name.rpartition(".")[2])
+    name = _FROM_WHERE.sub("", name)
     words = {word for word in words_of(name) - {""} if not _INPUT.fullmatch(word)}
     if any(len(word) > 1 for word in words - _OF_LOGGERS):
         words -= _OF_LOGGERS
@@ -631,11 +630,6 @@ def _guess(name):
         if counted and counted <= known:
             return ours
     return None
-
-
-def _last_of(name):
-    """What a path of names ends with: ``update Time`` of ``CUSTOM.updateTime``."""
-    return _CAMEL.sub(r"\1 \2", name.rpartition(".")[2]) if _PATH.fullmatch(name) else name
 
 
 def _turned(found):

@@ -273,13 +273,11 @@ def _follows(tracks, name, values, columns, unit):
     def beside(parts):
         return _left(values, np.concatenate([p - p.mean(axis=0) for p in parts]))
 
-    if beside([track.times[:, None] for track in tracks]) < AS_TIME:
-        return True
-    if beside([track.places for track in tracks]) < AS_PLACE:
-        return True
-    if beside([track.motion for track in tracks]) < AS_MOTION:
-        return True
-    if _are_ways(tracks, own):
+    if (
+        beside([track.times[:, None] for track in tracks]) < AS_TIME
+        or beside([track.places for track in tracks]) < AS_PLACE
+        or beside([track.motion for track in tracks]) < AS_MOTION or _are_ways(tracks, own)
+    ):  # fmt: skip
         return True
     long = [k for k, track in enumerate(tracks) if len(track.times) >= LEAST_ROWS]
     if long:

@@ -38,7 +38,8 @@ def from_maps(table, declaration):
     latitude, longitude = _of(table, _LATITUDE), _of(table, _LONGITUDE)
     if not (latitude and longitude) or is_sky(table.frame):
         return table
-    if _is_way_gone(table, declaration):  # of the same motion, and it says less
+    way = plain_words(table.theirs.get("x", "")) & _WAYS  # of the same motion, and it says less
+    if way and "x" in table and "x" not in declaration.columns:
         table = table.unread(["x"])
     lat, lon = table.numbers(latitude), table.numbers(longitude)
     is_lost = (lat == 0) & (lon == 0)
@@ -92,12 +93,6 @@ def _without_guesses(notes, axes):
         *(note for note in notes if note not in guesses),
         *(note for note in out if f"{BY_WORDS}: ;" not in note),
     ]
-
-
-def _is_way_gone(table, declaration):
-    """Whether the place is how far something went, by its words alone."""
-    own = plain_words(table.theirs.get("x", ""))
-    return "x" in table.frame and "x" not in declaration.columns and bool(own & _WAYS)
 
 
 def _of(table, words):

@@ -212,8 +212,8 @@ def _misnamed(table, declaration):
     if "length" in declaration.units or ({*PLACES} - {*"xyz"}) & {*table.columns}:
         return {}
     units = _units_of(table, declaration, table.axes)
-    same = {unit_of(unit) if _is_rate(unit) else None for unit in units.values()}
-    return units if len(same) == 1 and None not in same else {}
+    is_sensed = all(_is(unit, ACCELERATION) or _is_turn("", unit) for unit in units.values())
+    return units if is_sensed and len(set(map(unit_of, units.values()))) == 1 else {}
 
 
 def _units_of(table, declaration, columns):
@@ -223,12 +223,7 @@ def _units_of(table, declaration, columns):
 
 def _of_sensor(table, declaration, is_kind):
     """Columns x, y, z of a sensor of one kind, by their axes; {} of others."""
-    units = _misnamed(table, declaration)
-    return {axis: axis for axis, unit in units.items() if is_kind(unit)}
-
-
-def _is_rate(unit):
-    return _is(unit, ACCELERATION) or _is_turn("", unit)
+    return {axis: axis for axis, unit in _misnamed(table, declaration).items() if is_kind(unit)}
 
 
 def _velocities(table, declaration):
@@ -237,8 +232,7 @@ def _velocities(table, declaration):
     known = {axis: f"v{axis}" for axis in "xyz" if f"v{axis}" in columns}
     if known:  # along one axis it does not matter which it is
         return {"x": known["z"]} if list(known) == ["z"] else known
-    turned = _of_sensor(table, declaration, lambda unit: _is_turn("", unit))
-    if turned:
+    if turned := _of_sensor(table, declaration, lambda unit: _is_turn("", unit)):
         return _moved(table, turned)
     units = _units_of(table, declaration, columns)
     theirs = {name: table.heading(name) for name in columns}
@@ -328,11 +322,9 @@ def _all_accelerations(table, declaration):
     """Axis -> column of accelerations, of all axes of a sensor; empty where there is none."""
     columns = table.columns
     known = {axis: f"a{axis}" for axis in "xyz" if f"a{axis}" in declaration.columns}
+    known = known or _of_sensor(table, declaration, lambda unit: _is(unit, ACCELERATION))
     if known:
         return known
-    pushed = _of_sensor(table, declaration, lambda unit: _is(unit, ACCELERATION))
-    if pushed:
-        return pushed
     units = _units_of(table, declaration, columns)
     theirs = {name: table.heading(name) for name in columns}
     rest = [name for name in columns if name in table.unused]
@@ -382,7 +374,7 @@ def _words(text):
 
 
 def _is(text, unit):
-    return bool(text) and is_unit(text) and unit_of(text) == unit
+    return bool(text) and unit_of(text) == unit
 
 
 def _is_turn(heading, unit):
@@ -422,12 +414,8 @@ def _metric(table, declaration, found):
     text = next((said.get(n, plain or table.units.get(n, "")) for n in found.values()), "")
     if text in GRAVITIES:
         return GRAVITIES[text]
-    if not text:
-        length = said.get("length", "m")
-        is_known = _is(length, _LENGTH) and "px" not in length.lower()
-        return parse_unit(length)[0] if is_known else 0.0
-    is_known = _is(text, ACCELERATION) and "px" not in text.lower()
-    return parse_unit(text)[0] if is_known else 0.0
+    text, unit = (text, ACCELERATION) if text else (said.get("length", "m"), _LENGTH)
+    return parse_unit(text)[0] if _is(text, unit) and "px" not in text.lower() else 0.0
 
 
 def _scale(table, declaration, found, velocity):
@@ -451,12 +439,9 @@ def _scale(table, declaration, found, velocity):
         return value * clock, {} if "length" in said else dict.fromkeys(found, "m")
     if not (_is(text, _SPEED if order == 1 else ACCELERATION) or _is(text, of_turns)):
         return 1.0, {}
-    is_turn, is_in_pixels = unit_of(text) == of_turns, "px" in text.lower()
-    value = size_of(text)
-    scale = value * clock
-    if is_in_pixels:
+    is_turn, scale = unit_of(text) == of_turns, size_of(text) * clock
+    if "px" in text.lower():
         return scale, dict.fromkeys(found, "px")
-    length = said.get("length")
-    if length and not is_turn:
-        return scale / parse_unit(length)[0], {}
+    if "length" in said and not is_turn:
+        return scale / parse_unit(said["length"])[0], {}
     return scale, dict.fromkeys(found, "rad" if is_turn else "m")

@@ -1,6 +1,7 @@
 """Where the text of a table comes from: a text file in its encoding, or a sheet of a workbook."""
 
 import codecs
+import contextlib
 import csv
 import hashlib
 import io
@@ -367,10 +368,8 @@ def _encoding_by_words(path):
         head = b"\n".join(stream.read(_HEAD_BYTES).split(b"\n")[:_HEADER])
     counts = {}
     for encoding in _ENCODINGS:
-        try:
+        with contextlib.suppress(UnicodeDecodeError):
             counts[encoding] = n_known_words(head.decode(encoding))
-        except UnicodeDecodeError:
-            continue
     best = max(counts, key=counts.get, default="")
     return best if counts.get(best) and _reads(path, best) else ""
 
@@ -436,20 +435,20 @@ def _workbook(path):
     filled = [title for title, rows in sheets.items() if rows]
     if not filled:
         raise DataError("the workbook is empty", file=path, remedy="a header and rows are needed")
-    whole = _with_headers(sheets, filled)
-    made = () if whole is sheets else (
-        f"no header: columns read as {', '.join(whole[filled[0]][0])}",
-    )  # fmt: skip
-    sheets = whole
+    whole, sheets = sheets, _with_headers(sheets, filled)
+    made = f"no header: columns read as {', '.join(sheets[filled[0]][0])}"
     alike = _with_one_header(sheets, filled)
-    rows = _below_each_other(sheets, alike) if len(alike) > 1 else sheets[filled[0]]
+    rows = sheets[filled[0]]
+    if len(alike) > 1:  # recordings, each called like its sheet
+        rows = [["scene", *rows[0]], *([n, *row] for n in alike for row in sheets[n][1:])]
     text = tabbed(rows)
     unread = [title for title in filled if title not in (alike or filled[:1])]
     told = listed(list(map(repr, unread)))
     notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {told}",) if unread else ()
     if len(alike) > 1:
         more = f", not {told}" if unread else ""
-        notes = (f"{len(alike)} sheets of {path.name} with one header are recordings{more}", *made)
+        notes = (f"{len(alike)} sheets of {path.name} with one header are recordings{more}",
+                 *[made] * (whole is not sheets))  # fmt: skip
     return Source(path, _digest(content), _counts(text), text=text, notes=notes,
                   is_of_sheets=len(alike) > 1)  # fmt: skip
 
@@ -473,12 +472,6 @@ def _with_one_header(sheets, filled):
     alike = [title for title, row in zip(filled, header, strict=True) if row == header[0]]
     has_own = any(cell.strip().lower() in ("scene", "run") for cell in names)
     return alike if is_named and not has_own else []
-
-
-def _below_each_other(sheets, names):
-    """Rows of several sheets with one header, each a recording that is called like its sheet."""
-    header = sheets[names[0]][0]
-    return [["scene", *header], *([n, *row] for n in names for row in sheets[n][1:])]
 
 
 def _rows(path, cells):

@@ -100,7 +100,12 @@ def summed(table, declaration, rates):
         Times are lost or do not increase; no track has four values, or these are beyond sensors.
     """
     found, (_, many) = rates.columns, WHAT[rates.velocity]
-    times = table.numbers("t") if "t" in table.frame else _of_frames(table, declaration)
+    if "t" in table:
+        times = table.numbers("t")
+    else:
+        dt = declaration.dt or np.nan
+        frames = table.numbers("frame")
+        times = frames / declaration.fps if declaration.fps else frames * dt
     lost = np.isnan(times)
     if lost.any():
         table.fail("empty cell or NaN where a time is needed", "t", row=int(lost.argmax()))
@@ -261,12 +266,6 @@ def _told(rates, is_short, is_split):
            if is_short else "")
         + ("; behind a gap a track begins anew, as a scene of its own" if is_split else "")
     )  # fmt: skip
-
-
-def _of_frames(table, declaration):
-    """Times of a file that counts frames, s."""
-    frames = table.numbers("frame")
-    return frames / declaration.fps if declaration.fps else frames * (declaration.dt or np.nan)
 
 
 def _are_common(table, times, good):
