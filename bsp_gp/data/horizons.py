@@ -143,7 +143,6 @@ def without_header(table, declaration):
 
     Parameters
     ----------
-    table : Table
     declaration : Declaration
         Units that it gives are not asked for.
     """

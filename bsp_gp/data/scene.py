@@ -67,10 +67,9 @@ class Entity:
         mass = self.properties.get("mass", math.nan)
         if not self.is_static and mass <= 0:
             raise DataError(
-                f"mass of entity {self.name!r} must be positive, got {mass:g}",
-                column="mass",
+                f"mass of entity {self.name!r} must be positive, got {mass:g}", column="mass",
                 remedy="leave the cell empty if the mass is unknown, or set dynamic to 0",
-            )
+            )  # fmt: skip
 
     @property
     def mass(self):

@@ -164,8 +164,6 @@ def along_sight(table, declaration, column):
 
     Parameters
     ----------
-    table : Table
-    declaration : Declaration
     column : str
         Of the velocities.
 

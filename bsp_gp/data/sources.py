@@ -227,9 +227,7 @@ def _text_file(path, names):
     is_blank = True
     bad_line = None
     with path.open("rb") as stream:
-        for number in itertools.count():
-            if not (chunk := stream.read(1 << 22)):
-                break
+        for number, chunk in enumerate(_chunks(stream)):
             if number == 0 and chunk.startswith(_UTF_16):
                 return _utf_16(path, names)
             if b"\x00" in chunk:
@@ -374,28 +372,26 @@ def _encoding_by_words(path):
     return best if counts.get(best) and _reads(path, best) else ""
 
 
+def _chunks(stream):
+    """What a stream has, a part at a time."""
+    while chunk := stream.read(1 << 22):
+        yield chunk
+
+
 def _reads(path, encoding):
     """Whether a whole file is text in an encoding."""
     try:
         with path.open(encoding=encoding) as stream:
-            while stream.read(1 << 22):
-                pass
+            return sum(1 for _ in _chunks(stream)) > 0
     except UnicodeDecodeError:
         return False
-    return True
 
 
 def _is_windows(path):
     """Whether all bytes are letters and signs of Windows-1252, and none looks like UTF-8."""
     with path.open("rb") as stream:
-        while chunk := stream.read(1 << 22):
-            try:
-                chunk.decode("cp1252")
-            except UnicodeDecodeError:
-                return False
-            if _CONTROL.search(chunk) or _UTF_8.search(chunk):
-                return False
-    return True
+        is_odd = any(_CONTROL.search(chunk) or _UTF_8.search(chunk) for chunk in _chunks(stream))
+    return not is_odd and _reads(path, "cp1252")
 
 
 def _require_rows(path, n_rows):

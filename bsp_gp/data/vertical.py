@@ -20,7 +20,6 @@ def with_vertical(dataset, names):
 
     Parameters
     ----------
-    dataset : Dataset
     names : collection of str
         What laws name.
     """

@@ -130,10 +130,9 @@ class DiscTracker:
                 best, choice = score, k
         if choice is None or best < len(self.kinds) - 0.5:
             raise DataError(
-                f"no sampled frame shows all of {self.counts} at once",
-                file=self.video.path,
+                f"no sampled frame shows all of {self.counts} at once", file=self.video.path,
                 remedy="give how many discs of each colour there are",
-            )
+            )  # fmt: skip
         return choice
 
     def _start(self, anchor):
