@@ -48,13 +48,10 @@ class Job:
         """What the page shows."""
         is_running = self.state == "running"
         return {
-            "key": self.key,
-            "state": self.state,
-            "told": self.told,
-            "stage": self.stages[-1] if self.stages else "",
-            "n_stages": len(self.stages),
+            "key": self.key, "state": self.state, "told": self.told,
+            "stage": self.stages[-1] if self.stages else "", "n_stages": len(self.stages),
             "seconds": time.monotonic() - self.started if is_running else self.seconds,
-        }
+        }  # fmt: skip
 
 
 class Jobs:
