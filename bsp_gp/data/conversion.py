@@ -27,7 +27,7 @@ _PIXEL = re.compile(r"\b(?:px|pixels?|arcsec(?:ond)?s?|mas)\b", re.IGNORECASE)
 """In the place of a length, see `bsp_gp.units.UNCALIBRATED`."""
 _MAS = re.compile(r"\bmas\b", re.IGNORECASE)
 _NUMBERED = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+(.+)")
-_LENGTH, _TIME = Unit.of(m=1), Unit.of(s=1)
+LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 _EXAMPLES = {"time": ("s", "--fps 25 where it counts frames"),
              "length": ("m", '"px" if the picture is not calibrated')}  # fmt: skip
 COLUMN_KINDS = {"t": "time"} | {
@@ -164,7 +164,7 @@ class Conversion:
     def time(self):
         """Scale of the column t (and of `dt`)."""
         text = self.declared.get("t", self._kinds.get("time"))
-        return 1.0 if text is None else self._read("t", text, _TIME)[0]
+        return 1.0 if text is None else self._read("t", text, TIME)[0]
 
     def length(self, column):
         """Scale of a column that holds lengths."""
@@ -176,13 +176,13 @@ class Conversion:
             return ANGLES[text.strip().lower()]
         if text is None or (self.of_sight and is_speed(text)):
             return 1.0
-        return self._read(column, text, _LENGTH)[0]
+        return self._read(column, text, LENGTH)[0]
 
     def velocity(self, column):
         """Scale of a column of velocities: its own unit, else length/time."""
         text = self.declared.get(column, self.declared.get("velocity"))
         if text is not None:
-            return self._read(column, text, _LENGTH / _TIME)[0]
+            return self._read(column, text, LENGTH / TIME)[0]
         return self.length(column[-1]) / self.time()
 
     def property(self, name, columns=()):
@@ -206,7 +206,7 @@ class Conversion:
         if expected is None:
             note = f"column {name!r} has no declared unit: read as a pure number"
             return 1.0, DIMENSIONLESS, note
-        if expected == _LENGTH:
+        if expected == LENGTH:
             return self.length(name), expected, None
         scales = {
             kind: self._read(kind, self._kinds[kind])[0] if kind in self._kinds else 1.0

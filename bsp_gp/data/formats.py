@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.cells import plain_cell
-from bsp_gp.data.conversion import unit_of
+from bsp_gp.data.conversion import TIME, unit_of
 from bsp_gp.data.dates import seconds_of
 from bsp_gp.data.headings import (
     GUESS,
@@ -41,7 +41,6 @@ from bsp_gp.data.table import Table
 from bsp_gp.data.untimed import COUNTED, IN_TURN, rows_as_frames, with_bodies_in_turn
 from bsp_gp.data.wide import as_recordings, groups_of, stack
 from bsp_gp.errors import DataError
-from bsp_gp.units import Unit
 
 _NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "-", "–", "--", "---"]
 _NO_NUMBER = [*_NAN, "X", "x", "?", "*", "na", "n/a", "n.a.", "#N/A", "NULL", "None", "none"]
@@ -49,7 +48,6 @@ _NO_NUMBER = [*_NAN, "X", "x", "?", "*", "na", "n/a", "n.a.", "#N/A", "NULL", "N
 _HEAD_LINES, _MOST_LINES = 60, 10_000
 """Lines from which a layout is guessed; and those that are looked at where columns without names
 are told."""
-_TIME = Unit.of(s=1)
 _BY_NUMBER = ", or say which column is which by its number: --columns t=1 x=2"
 
 
@@ -224,7 +222,7 @@ def _with_rising_clock(frame, found):
     is_settled = any(found[k].is_renamed or not is_text[k] or _rise(frame[k]) > 0 for k in own)
     if is_settled or not named or {"entity", "scene"} & {h.name for h in found}:
         return found
-    able = {k for k in free if is_text[k] or unit_of(found[k].unit) == _TIME} | {*named} - {*own}
+    able = {k for k in free if is_text[k] or unit_of(found[k].unit) == TIME} | {*named} - {*own}
     rises = {k: rise for k in able if (rise := _rise(frame[k])) >= (1 if own else 0)}
     if not rises:
         return found

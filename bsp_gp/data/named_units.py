@@ -7,7 +7,7 @@ import math
 import re
 from dataclasses import replace
 
-from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, is_unit, ratio_of, unit_of
+from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, LENGTH, TIME, is_unit, ratio_of, unit_of
 from bsp_gp.data.headings import is_angle, is_angle_name, one_blank
 from bsp_gp.data.notes import quoted
 from bsp_gp.data.scene import CHECK
@@ -18,12 +18,10 @@ from bsp_gp.units import ACCELERATION, ANGLES, DIMENSIONLESS, Unit
 
 _ARBITRARY, _ON_EARTH = ("au", "a.u."), ("s", "ms", "min")
 """Units of lengths, arbitrary ones beside such of times: no orbit is told in these."""
-_TURNS = words_for("whole_turn")
 _NUMBER = r"((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)"
 _COUNT = re.compile(rf"(?:{_NUMBER}\s*)?([^\W\d_]+|°)\s*(?:/\s*{_NUMBER})?")
 """``0.09 deg``, ``rev/4000``, ``2 rev / 8192``."""
-_LENGTH, _TIME = Unit.of(m=1), Unit.of(s=1)
-_SPEED, _RATE = _LENGTH / _TIME, Unit.of(s=-1)
+_SPEED, _RATE = LENGTH / TIME, Unit.of(s=-1)
 _OWN = {_SPEED: "v", ACCELERATION: "a"}
 """Before an axis, of what is no place and has a name of its own."""
 
@@ -145,7 +143,7 @@ def count_of(text):
     times, word, parts = match.groups()
     if word in ANGLES and (times or parts):
         size, unit = 1.0, word
-    elif word in _TURNS:
+    elif word in words_for("whole_turn"):
         size, unit = 2 * math.pi, "rad"
     else:
         return None
@@ -210,4 +208,4 @@ def _is_other(table, axis, text):
             f"{heading!r} is named as a place, and {text} is the unit of {what}", axis,
             f'name it as that: --columns {_OWN[unit]}{axis}="{heading}"',
         )  # fmt: skip
-    return unit not in (_LENGTH, _TIME, _RATE, DIMENSIONLESS)
+    return unit not in (LENGTH, TIME, _RATE, DIMENSIONLESS)

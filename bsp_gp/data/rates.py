@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bsp_gp.data.clock import slope_on_clock
-from bsp_gp.data.conversion import is_unit, size_of, unit_of
+from bsp_gp.data.conversion import LENGTH, TIME, is_unit, size_of, unit_of
 from bsp_gp.data.headings import is_acceleration, is_doubt, is_own_speed, is_rate, words_of
 from bsp_gp.data.notes import quoted
 from bsp_gp.data.scene import CHECK, SUMS
@@ -22,7 +22,7 @@ from bsp_gp.data.words import apart, words_for
 from bsp_gp.errors import in_python
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
-_LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
+_SPEED, _RATE = LENGTH / TIME, Unit.of(s=-1)
 _OF_TURNS = re.compile(r"rad|deg|°|rpm|[^\W\d]+/(?:min|мин)")
 """A rate is one of turns in these units; another may be anything."""
 _WHOLE = words_for("whole")
@@ -32,7 +32,6 @@ _SENSORS = {
     "": frozenset("gravity magnetometer magnetic".split()),
 }
 """Unit of what the x, y and z of a telephone's sensor are, and words by which it calls the file."""
-_OF_SENSORS = words_for("of_sensors")
 _OF_PHONES = "seconds_elapsed"
 """A column that only loggers of telephones write."""
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
@@ -127,7 +126,7 @@ def _sensor_called(name, is_of_phone):
     What the logger of a telephone has written may be called more than that: the ride, the project.
     """
     words = re.findall(r"[a-z]+", name.lower())
-    words = [word for word in words if word not in _OF_SENSORS]
+    words = [word for word in words if word not in words_for("of_sensors")]
     if is_of_phone:
         sensors = frozenset().union(*_SENSORS.values())
         words = [word for word in words if word in sensors]
@@ -237,7 +236,7 @@ def _velocities(table, declaration):
     units = _units_of(table, declaration, columns)
     theirs = {name: table.heading(name) for name in columns}
     others = [n for n in table.unused if n in columns and not is_own_speed(theirs[n])]
-    if any(_is(units[n], _LENGTH) or _words(theirs[n]) & _ON_MAPS for n in others):
+    if any(_is(units[n], LENGTH) or _words(theirs[n]) & _ON_MAPS for n in others):
         return {}  # they may be the places
     named = [n for n in columns if n in table.unused and is_own_speed(theirs[n])]
     named = [n for n in named if not units[n] or unit_of(units[n]) == _SPEED]
@@ -328,7 +327,7 @@ def _all_accelerations(table, declaration):
     units = _units_of(table, declaration, columns)
     theirs = {name: table.heading(name) for name in columns}
     rest = [name for name in columns if name in table.unused]
-    if any(_is(units[n], _LENGTH) or _is(units[n], _SPEED) for n in rest):
+    if any(_is(units[n], LENGTH) or _is(units[n], _SPEED) for n in rest):
         return {}  # they say more
     found = [n for n in rest if _is(units[n], ACCELERATION)] or [
         n for n in rest  # `A_x` without a unit may be a place of A
@@ -414,7 +413,7 @@ def _metric(table, declaration, found):
     text = next((said.get(n, plain or table.units.get(n, "")) for n in found.values()), "")
     if text in GRAVITIES:
         return GRAVITIES[text]
-    text, unit = (text, ACCELERATION) if text else (said.get("length", "m"), _LENGTH)
+    text, unit = (text, ACCELERATION) if text else (said.get("length", "m"), LENGTH)
     return parse_unit(text)[0] if _is(text, unit) and "px" not in text.lower() else 0.0
 
 
@@ -433,7 +432,7 @@ def _scale(table, declaration, found, velocity):
             "give all of them in one",
         )  # fmt: skip
     (text,) = texts
-    of_turns = _RATE if order == 1 else _RATE / Unit.of(s=1)
+    of_turns = _RATE if order == 1 else _RATE / TIME
     if order == 2 and text in GRAVITIES:
         value = GRAVITIES[text] / (parse_unit(said["length"])[0] if "length" in said else 1.0)
         return value * clock, {} if "length" in said else dict.fromkeys(found, "m")

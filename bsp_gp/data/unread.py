@@ -10,8 +10,6 @@ from bsp_gp.errors import DataError, in_python
 
 MOST_TOLD = 12
 """Columns whose meaning is told."""
-_DRIVES = words_for("drive")
-_HEADINGS = words_for("turned")
 
 
 def told_unused(table, inputs):
@@ -21,13 +19,13 @@ def told_unused(table, inputs):
     able = [theirs for name, theirs in unused.items() if name in table.frame]  # of bodies none is
     able = [theirs for theirs in able if theirs.isidentifier()]
     note = [f"not used: {listed(names, MOST_TOLD)}"] if names else []
-    where = [name for name in able if plain_words(name) & _HEADINGS]
+    where = [name for name in able if plain_words(name) & words_for("turned")]
     if where:
         note.append(
             f"column {where[0]} may say how the body is turned: --units {where[0]}=deg makes it an "
             "input of laws, which may then act along and across the body's own axis"
         )
-    driving = [n for n in able if plain_words(n.rstrip("0123456789")) & _DRIVES]
+    driving = [n for n in able if plain_words(n.rstrip("0123456789")) & words_for("drive")]
     if driving:
         note.append(f"column {driving[0]} may drive the motion: --units {driving[0]}=UNIT makes it "
                     "an input of laws")  # fmt: skip
