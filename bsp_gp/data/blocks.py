@@ -27,7 +27,7 @@ COARSE = 1.5
 
 
 def in_blocks(dataset, most_rows=MOST_ROWS):
-    """The data set with its long, dense tracks averaged, and a note of it.
+    """The data set with its long, dense tracks averaged, and a note of it; itself without such.
 
     Nothing is done where rows are counted (`Evaluation`), noise is exact, adds up or has a declared
     memory, bodies may touch, or rows come at uneven times. Gross errors are in no mean, which is
@@ -37,11 +37,6 @@ def in_blocks(dataset, most_rows=MOST_ROWS):
     ----------
     most_rows : int
         Rows that are left of a longer scene, about.
-
-    Returns
-    -------
-    Dataset
-        The same one where no scene was averaged.
     """
     is_plain = dataset.evaluation == Evaluation() and not dataset.noise_memory
     is_plain &= not dataset.is_summed

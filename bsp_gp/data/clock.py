@@ -40,10 +40,10 @@ def slope_on_clock(times, values):
 
 
 def check_declared_rate(rows, declaration, second):
-    """Compare the column t with a declared ``dt`` or ``fps``.
+    """Compare the column t with a declared ``dt`` or ``fps``; notes, a tuple of str.
 
     The column counts in any case. Rows that are whole numbers of steps apart are gaps, or every
-    k-th frame of a recording.
+    k-th frame of a recording; where they are so throughout it is noted.
 
     Parameters
     ----------
@@ -51,11 +51,6 @@ def check_declared_rate(rows, declaration, second):
         With times of the column t, increasing for every entity of a scene.
     second : float
         Of the unit of the column t, how many seconds it is.
-
-    Returns
-    -------
-    tuple of str
-        A note where rows are some whole steps apart throughout.
 
     Raises
     ------

@@ -108,17 +108,14 @@ def _name(column, taken):
 def asked_of(dataset, taken=(), exclude=()):
     """The data set with those columns as measured inputs that do not follow from what is there.
 
+    `Dataset.logged` has what is asked, and a note tells it.
+
     Parameters
     ----------
     taken : collection of str
         Names in laws, which mean something else.
     exclude : collection of str
         Columns that are not asked.
-
-    Returns
-    -------
-    Dataset
-        `Dataset.logged` has what is asked, and a note tells it.
     """
     names = [
         n for n in dataset.logged

@@ -48,18 +48,15 @@ def _counted(name):
 
 
 def joined(datasets, paths):
-    """Make one data set of several.
+    """One data set of several.
+
+    A file of one scene gives its name to it; scenes of a file with several keep theirs, after that
+    of the file where another file has the same.
 
     Parameters
     ----------
     paths : sequence of path-like
         Where each comes from.
-
-    Returns
-    -------
-    Dataset
-        A file of one scene gives its name to it; scenes of a file with several keep theirs, after
-        that of the file where another file has the same.
 
     Raises
     ------

@@ -84,16 +84,12 @@ class Motion:
 
 
 def run_pymunk(worlds, motion):
-    """Move worlds with pymunk.
+    """The `States` of worlds that are moved with pymunk.
 
     Parameters
     ----------
     worlds : sequence of World
         All of the same number of entities.
-
-    Returns
-    -------
-    States
 
     Raises
     ------

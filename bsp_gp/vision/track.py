@@ -80,12 +80,9 @@ def both_ways(video, frame, first, last):
 
 
 def walk(video, frame, first, last, start, step):
-    """Run `step(image, predicted) -> (place, covariance, rms, reason, ...)` both ways from `frame`.
+    """What `step(image, predicted)` gives, both ways from a frame, by frame.
 
-    Returns
-    -------
-    dict of int to tuple
-        What it gave, by frame.
+    That is a place, its covariance, rms and the reason where there is none ("" elsewhere), or more.
     """
     found = {}
     for images in both_ways(video, frame, first, last):
