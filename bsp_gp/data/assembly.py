@@ -127,10 +127,7 @@ class Rows:
 def build_rows(table, declaration, conversion, *, scene_name):
     """Check the columns of a trajectory table and convert them.
 
-    Parameters
-    ----------
-    scene_name : str
-        Name of the scene where the table has no such column.
+    Without a column of scenes all rows are of one, `scene_name`.
     """
     axes, line_notes = axes_of(table, declaration)
     table, foot_notes = _without_timeless_ends(table)
@@ -225,12 +222,7 @@ def along_named_axis(table, declaration):
     """The table with its only place along the axis that laws name, if they name another one only.
 
     A height that a file calls one is read as y; who writes laws in x means it all the same. A lone
-    z is a height.
-
-    Parameters
-    ----------
-    declaration : Declaration
-        ``uses`` has the names in laws.
+    z is a height. ``declaration.uses`` has the names in laws.
     """
     own = table.axes
     named = [axis for axis in "xyz" if {f"{axis}_i", f"e_{axis}"} & set(declaration.uses)]

@@ -31,12 +31,7 @@ def in_blocks(dataset, most_rows=MOST_ROWS):
 
     Nothing is done where rows are counted (`Evaluation`), noise is exact, adds up or has a declared
     memory, bodies may touch, or rows come at uneven times. Gross errors are in no mean, which is
-    told.
-
-    Parameters
-    ----------
-    most_rows : int
-        Rows that are left of a longer scene, about.
+    told. About `most_rows` are left of a longer scene.
     """
     is_plain = dataset.evaluation == Evaluation() and not dataset.noise_memory
     is_plain &= not dataset.is_summed

@@ -43,13 +43,8 @@ _TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 def since_1970(times, unit=""):
     """Unix times in seconds since the first of them, and the unit they count; None of others.
 
-    What would be in the future counts from another instant.
-
-    Parameters
-    ----------
-    times : ndarray
-    unit : str
-        That is said of them; empty = none.
+    What would be in the future counts from another instant. `unit` is that which is said of them,
+    if any.
     """
     known = times[np.isfinite(times)]
     for name, ticks in _TICKS.items():
@@ -62,10 +57,7 @@ def since_1970(times, unit=""):
 def seconds_of(cells):
     """Times in seconds, and since when; None if they are no dates.
 
-    Parameters
-    ----------
-    cells : Series of str, or of dates
-        Blank ones are missing.
+    Blank cells are missing.
 
     Returns
     -------

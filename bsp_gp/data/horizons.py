@@ -139,12 +139,8 @@ def without_header(table, declaration):
     """The units of a table that has kept Horizons' headings, or astroquery's for what it sends.
 
     Days are those of its dates; whether places are in km or au, and velocities per second or per
-    day, is told by their steps. Distances of astroquery are in au, its angles in degrees.
-
-    Parameters
-    ----------
-    declaration : Declaration
-        Units that it gives are not asked for.
+    day, is told by their steps. Distances of astroquery are in au, its angles in degrees. Units
+    that are declared are not asked for.
     """
     clock, others = table.theirs.get("t", ""), {text.split(" ")[0] for text in table.present}
     is_query = clock == "datetime_jd" and {"targetname", "datetime_str"} <= others

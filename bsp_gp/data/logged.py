@@ -141,10 +141,7 @@ def asked_of(dataset, taken=(), exclude=()):
 def named_of(dataset, uses):
     """The data set with those columns as measured inputs that laws name as a loop does.
 
-    Parameters
-    ----------
-    uses : collection of str
-        Names in laws. A name that is the heading itself is a constant, unless a unit is declared.
+    A name of `uses` that is the heading itself is a constant, unless a unit is declared.
     """
     return _with_inputs(dataset, {
         name: name for name, (heading, _) in dataset.logged.items()

@@ -74,12 +74,7 @@ def checked_noise(noise, n_dims):
 
 
 def declare_noise(dataset, sigma):
-    """The data set with another declared noise.
-
-    Parameters
-    ----------
-    sigma : tuple of float, metres
-        One for all axes, or one per axis.
+    """The data set with another declared noise, m: one for all axes (a tuple), or one per axis.
 
     Raises
     ------
@@ -297,14 +292,9 @@ def grid_steps(tracks):
 def _step_of_large(tracks, step, *, by_digits=True):
     """Step of the grid that the larger values lie on, where it is coarser by digits; else 0.0.
 
-    A value is never more accurate than its last digit, and one sigma counts for all.
-
-    Parameters
-    ----------
-    step : float
-        Of the grid of all values; 0.0 where that is finer than can be told.
-    by_digits : bool
-        Whether it must be coarser by whole digits, as it is of measured places.
+    A value is never more accurate than its last digit, and one sigma counts for all. `step` is that
+    of all values, 0.0 where it is finer than can be told. Of measured places the larger ones are
+    coarser by whole digits (`by_digits`).
     """
     values, best = np.abs(np.concatenate([np.empty(0), *(x for _, x in tracks)])), 0.0
     for part in _LARGE if len(values) else ():

@@ -85,10 +85,7 @@ def from_rates(table, declaration):
 def _by_its_file(table, declaration):
     """The table with x, y, z without a unit as what a sensor shows, where the file is called so.
 
-    Raises
-    ------
-    DataError
-        If the sensor says nothing of a motion.
+    DataError if the sensor says nothing of a motion.
     """
     name = re.sub(r"([a-z])([A-Z])", r"\1 \2", Path(table.file or "").stem)
     unit = _sensor_called(name, is_of_phone=_OF_PHONES in table.present)
@@ -256,10 +253,7 @@ def _velocities(table, declaration):
 def _require_right_unit(table, declaration, theirs):
     """DataError where a heading speaks of an acceleration and its unit is that of a velocity.
 
-    Parameters
-    ----------
-    theirs : mapping of str to str
-        Name of a column -> its heading.
+    `theirs` has the heading of each column, by its name.
     """
     odd = {
         n: text for n, text in theirs.items()

@@ -114,15 +114,10 @@ def assemble(table, roster, declaration, default_name):
 
 
 def _with_places(table, declaration):
-    """The table with places x, y and z, whatever stands for them; its declaration.
+    """The table with places x, y and z, whatever stands for them; its declaration, notes, is_star.
 
-    Returns
-    -------
-    table, declaration
-    notes : list of str
-        Of the inputs that laws name.
-    is_star : bool
-        Whether places are those of a companion as seen from its star.
+    Notes are of the inputs that laws name; places of stars are those of a companion as seen from
+    its star.
     """
     table = without_header(with_unix_times(table, declaration.units), declaration)
     table = instead_of_places(as_declared(table, declaration.units), declaration)

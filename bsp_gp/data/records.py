@@ -19,15 +19,9 @@ _REMEDY = (
 def as_table(text, path):
     """The rows of a JSON file as text with tabs, the header first.
 
-    What is nested has the names of what it is in before it, ``{"pos": {"x": 1}}`` as ``pos_x``;
-    two or three numbers in a list are the coordinates of a place, ``{"pos": [1, 2]}`` as ``pos_x``
-    and ``pos_y``. Objects by name, each with a list of records, are recordings of these names.
-
-    Parameters
-    ----------
-    text : str
-    path : path-like
-        Named in errors.
+    What is nested has the names of what it is in before it, ``{"pos": {"x": 1}}`` as ``pos_x``; two
+    or three numbers in a list are the coordinates of a place, ``{"pos": [1, 2]}`` as ``pos_x`` and
+    ``pos_y``. Objects by name, each with a list of records, are recordings of these names.
 
     Raises
     ------

@@ -48,15 +48,10 @@ def _counted(name):
 
 
 def joined(datasets, paths):
-    """One data set of several.
+    """One data set of several, of which each comes from one of the paths.
 
     A file of one scene gives its name to it; scenes of a file with several keep theirs, after that
     of the file where another file has the same.
-
-    Parameters
-    ----------
-    paths : sequence of path-like
-        Where each comes from.
 
     Raises
     ------

@@ -158,12 +158,7 @@ def is_of_sight(heading):
 
 
 def along_sight(table, declaration, column):
-    """The table with such velocities as its one coordinate, and its declaration.
-
-    Parameters
-    ----------
-    column : str
-        Of the velocities.
+    """The table with a column of such velocities as its one coordinate, and its declaration.
 
     Raises
     ------

@@ -99,10 +99,7 @@ class Source:
     def without_brackets(self, head):
         """The same without the brackets of a matrix around its rows, as MATLAB and numpy print it.
 
-        Parameters
-        ----------
-        head : sequence of str
-            The first lines.
+        They are told by `head`, the first lines.
         """
         first = next((k for k, line in enumerate(head) if _OPENED.fullmatch(line.strip())), None)
         if first is None:
@@ -120,12 +117,8 @@ class Source:
     def without_comments(self, above):
         """The same with blank lines for comments (#) below the header, where few lines are; a note.
 
-        Rows that someone has taken out of a table so are no rows.
-
-        Parameters
-        ----------
-        above : sequence of str
-            The lines down to the header.
+        Rows that someone has taken out of a table so are no rows. `above` are the lines down to the
+        header.
         """
         if self.counts[b"#"] <= sum(line.count("#") for line in above):
             return self  # the text is read once more only where there are some

@@ -185,10 +185,7 @@ def _with_both_errors(table):
 def with_primary(scene, roster):
     """The scene with the primary beside what it has, at rest at the origin.
 
-    Parameters
-    ----------
-    roster : Roster or None
-        What is known of the primary, if it is there.
+    What is known of it may stand in the roster, or None.
     """
     row = roster.row(scene.name, PRIMARY) if roster is not None else None
     name = PRIMARY

@@ -408,12 +408,8 @@ def _between_pauses(times, values, rate):
     """What a sensor shows at rest, (n, d), of a body that is pushed and stopped now and then; None.
 
     A lift that goes twice shows nothing between its rides, or at constant speed, for longer than
-    what swings does at its turns. It must be at rest at both ends.
-
-    Parameters
-    ----------
-    rate : float
-        Of the strongest wave, 1/s.
+    what swings does at its turns. It must be at rest at both ends. `rate` is that of the strongest
+    wave, 1/s.
     """
     near = ndimage.uniform_filter1d(values - np.median(values, axis=0), NEIGHBOURS, axis=0)
     size = np.linalg.norm(near, axis=1)

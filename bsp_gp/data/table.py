@@ -163,10 +163,7 @@ class Table:
     def require(self, needed, along=()):
         """Complain about the first column that is missing.
 
-        Parameters
-        ----------
-        along : sequence of str
-            Headings that may be places of several bodies.
+        `along` are headings that may be places of several bodies.
         """
         missing = [column for column in needed if column not in self.frame]
         if not missing:

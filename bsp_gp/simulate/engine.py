@@ -84,12 +84,7 @@ class Motion:
 
 
 def run_pymunk(worlds, motion):
-    """The `States` of worlds that are moved with pymunk.
-
-    Parameters
-    ----------
-    worlds : sequence of World
-        All of the same number of entities.
+    """The `States` of worlds, all of as many entities, that are moved with pymunk.
 
     Raises
     ------

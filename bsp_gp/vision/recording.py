@@ -75,10 +75,7 @@ def _is_number(text):
 def track_video(video, specs, first=0, last=None, progress=None):
     """Track all objects of a video; their covariances are calibrated on the tracks themselves.
 
-    Parameters
-    ----------
-    first, last : int
-        Frames, both included.
+    `first` and `last` are frames, both included.
     """
     last = video.n_frames - 1 if last is None else last
     if not 0 <= first <= last - 2 or last >= video.n_frames:

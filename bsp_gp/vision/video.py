@@ -92,12 +92,7 @@ class Video:
 
 
 def open_video(path, fps=None):
-    """Open a video and count the frames that can be decoded.
-
-    Parameters
-    ----------
-    fps : float, optional
-        The true frame rate, if the header's is wrong.
+    """Open a video and count the frames that can be decoded; `fps` if the header's is wrong.
 
     Raises
     ------
