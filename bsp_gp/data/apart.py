@@ -93,13 +93,9 @@ def may_be_below(rows):
 def recordings_apart(rows, roster, has_scenes):
     """Rows of one scene as scenes of bodies whose times overlap, directly or through others.
 
-    Parameters
-    ----------
-    roster : Roster or None
-        Where it holds bodies that do not move, or speaks of scenes, nothing is taken apart: a wall
-        is there though it is seen once.
-    has_scenes : bool
-        Whether the table says which rows are one scene; then it is believed.
+    Nothing is taken apart where the roster (or None) holds bodies that do not move, or speaks of
+    scenes: a wall is there though it is seen once; nor where the table says itself which rows are
+    one scene (`has_scenes`).
     """
     if has_scenes or len(rows.entity_names) < 2 or _has_own_scenes(roster):
         return rows

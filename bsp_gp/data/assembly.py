@@ -570,12 +570,8 @@ def _time_index(rows, smallest):
 def build_scenes(rows, roster, *, without_track=()):
     """Scenes in order of first appearance, and notes.
 
-    Parameters
-    ----------
-    roster : Roster or None
-        None: every entity is a point of unknown mass.
-    without_track : sequence of str
-        Names in the roster that need no rows.
+    Without a roster (None) every entity is a point of unknown mass; names in `without_track` need
+    no rows.
     """
     smallest = _check_order(rows)
     order, is_new, starts = _time_index(rows, smallest)

@@ -43,14 +43,8 @@ def check_declared_rate(rows, declaration, second):
     """Compare the column t with a declared ``dt`` or ``fps``; notes, a tuple of str.
 
     The column counts in any case. Rows that are whole numbers of steps apart are gaps, or every
-    k-th frame of a recording; where they are so throughout it is noted.
-
-    Parameters
-    ----------
-    rows : Rows
-        With times of the column t, increasing for every entity of a scene.
-    second : float
-        Of the unit of the column t, how many seconds it is.
+    k-th frame of a recording; where they are so throughout it is noted. Times increase for every
+    entity of a scene; `second` is the unit of the column t, s.
 
     Raises
     ------
@@ -94,14 +88,8 @@ def clock_jumps(rows, scenes, second):
     At a gap a body is somewhere else: it went on while nobody looked. Where its positions go on,
     within what is usual along its track, as if one step had passed, and at its speed it would have
     left by far, the clock jumped and not the body. Bodies at rest say nothing; one that was
-    somewhere else after all is enough for a gap.
-
-    Parameters
-    ----------
-    rows : Rows
-        Those that the scenes were made of.
-    second : float
-        Of the unit of the column t, how many seconds it is.
+    somewhere else after all is enough for a gap. `rows` are those that the scenes were made of;
+    `second` is the unit of the column t, s.
     """
     notes = []
     for code, scene in enumerate(scenes):

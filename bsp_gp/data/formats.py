@@ -54,12 +54,8 @@ _BY_NUMBER = ", or say which column is which by its number: --columns t=1 x=2"
 def read_table(path, *, rename=None, as_text=False):
     """Read a delimited file, with a header or with numbers alone.
 
-    Parameters
-    ----------
-    rename : mapping of str to str, optional
-        Our name of a column -> its name in the file.
-    as_text : bool
-        Leave every cell a text (for ``entities.csv``, whose columns are the user's own).
+    `rename` maps our name of a column to its name in the file. `as_text` leaves every cell a text
+    (for ``entities.csv``, whose columns are the user's own).
 
     Raises
     ------

@@ -812,12 +812,8 @@ def _with_body_of_run(found):
 def bodies_beside(table_columns, units):
     """Bodies whose places columns that are not used may be, each with its columns.
 
-    Parameters
-    ----------
-    table_columns : mapping of str to str
-        Name of a column that means nothing to us -> what the file calls it.
-    units : mapping of str to str
-        Of them.
+    `table_columns` maps names of columns that mean nothing to us to what the file calls them,
+    `units` to theirs.
 
     Returns
     -------

@@ -110,11 +110,8 @@ def vectors_among(columns, texts):
     """How rows of a vector table without its names are said by the numbers of their columns; or "".
 
     Behind Julian days and dates in words may stand how far apart two clocks are (delta-T).
-
-    Parameters
-    ----------
-    columns, texts : mapping of int to sequence of str
-        Number of a column, from 1 -> its cells, of those of numbers and of others.
+    `columns` have the cells of columns of numbers, `texts` those of others, by their numbers from
+    1.
     """
     dates = next((k for k, own in texts.items() if all(map(_OF_DATE.fullmatch, own))), None)
     numbers = {k: [float(cell) for cell in own] for k, own in columns.items() if all(own)}

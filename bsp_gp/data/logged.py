@@ -48,10 +48,7 @@ _SUFFIX = "_logged"
 def logged_columns(table, taken):
     """Numbers beside the tracks that may be measured inputs, by their names in laws.
 
-    Parameters
-    ----------
-    taken : collection of str
-        Columns that mean something.
+    `taken` are columns that mean something.
 
     Returns
     -------
@@ -108,14 +105,8 @@ def _name(column, taken):
 def asked_of(dataset, taken=(), exclude=()):
     """The data set with those columns as measured inputs that do not follow from what is there.
 
-    `Dataset.logged` has what is asked, and a note tells it.
-
-    Parameters
-    ----------
-    taken : collection of str
-        Names in laws, which mean something else.
-    exclude : collection of str
-        Columns that are not asked.
+    `Dataset.logged` has what is asked, and a note tells it. Names in `taken` mean something else in
+    laws; columns in `exclude` are not asked.
     """
     names = [
         n for n in dataset.logged

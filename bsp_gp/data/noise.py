@@ -101,18 +101,14 @@ def estimate_noise(data):
     """Find the standard deviation of the position noise, per axis.
 
     Quoted errors come before a declared value, and that before an estimate. The estimate is for
-    white noise on a smooth motion: a k-th difference annihilates what is locally a polynomial
-    of degree k - 1 and leaves noise of variance sigma^2 * C(2k, k) on uniform times (on other
-    times the weights of the divided difference are used). The scale is robust, so contacts do
-    not matter; k runs from 2 to 8 and the first order after which the estimate no longer falls
-    significantly is taken. Rounding is not white where a track moves slowly, so positions on a
-    grid (whole pixels, few decimals) are never more accurate than its step / sqrt(12),
-    that of the larger ones where all have as many digits.
-
-    Parameters
-    ----------
-    data : Dataset or sequence of Scene
-        Only dynamic entities count; scenes and entities are pooled.
+    white noise on a smooth motion: a k-th difference annihilates what is locally a polynomial of
+    degree k - 1 and leaves noise of variance sigma^2 * C(2k, k) on uniform times (on other times
+    the weights of the divided difference are used). The scale is robust, so contacts do not matter;
+    k runs from 2 to 8 and the first order after which the estimate no longer falls significantly is
+    taken. Rounding is not white where a track moves slowly, so positions on a grid (whole pixels,
+    few decimals) are never more accurate than its step / sqrt(12), that of the larger ones where
+    all have as many digits. Of a Dataset, or of scenes, dynamic entities alone count; all are
+    pooled.
     """
     is_dataset = isinstance(data, Dataset)
     scenes = data.scenes if is_dataset else tuple(data)

@@ -18,10 +18,8 @@ WITHIN = ("mass", "charge")
 def roster_within(table, units):
     """The bodies of a table of tracks that says itself what their masses are.
 
-    Parameters
-    ----------
-    units : mapping of str to str
-        That are declared; a column with a unit under its own name is an input of laws.
+    `units` are those that are declared; a column with a unit under its own name is an input of
+    laws.
 
     Returns
     -------

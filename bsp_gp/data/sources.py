@@ -136,11 +136,8 @@ class Source:
 def open_source(path, names=()):
     """The source of a table.
 
-    Parameters
-    ----------
-    names : collection of str
-        Columns that the caller knows. Where only the file's own header has them, what a program
-        wrote is not turned into a plain table.
+    `names` are columns that the caller knows: where only the file's own header has them, what a
+    program wrote is not turned into a plain table.
 
     Raises
     ------

@@ -22,12 +22,7 @@ def rows_as_frames(frame, found):
 
     Rows are frames one after another unless a column says otherwise, or may: that of bodies, that
     of recordings whose rows are mixed, or one that means nothing to us and may be a clock or tell
-    rows apart.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Its columns are called by their positions; its index counts lines.
+    rows apart. Columns are called by their positions; the index counts lines.
 
     Returns
     -------

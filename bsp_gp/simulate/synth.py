@@ -184,12 +184,7 @@ of its declared model, which know of no hard contacts."""
 def preset(name, effects=(), **numbers):
     """Settings of a preset, with numbers of it changed.
 
-    Parameters
-    ----------
-    name : str
-        One of `PRESETS`.
-    **numbers
-        As for `configured`.
+    There are those in `PRESETS`; numbers are as for `configured`.
 
     Examples
     --------
@@ -252,10 +247,7 @@ def numbers_of(settings):
 def read_numbers(settings, texts):
     """Numbers for `configured` from texts: ``{"mass": "0.1..2", "n_bodies": "5"}``.
 
-    Parameters
-    ----------
-    texts : mapping of str to str
-        A number; ``a..b`` for a range; yes or no; ``none`` where that is a value.
+    A text is a number; ``a..b`` for a range; yes or no; ``none`` where that is a value.
     """
     known = numbers_of(settings)
     numbers = {}

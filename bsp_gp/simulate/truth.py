@@ -130,12 +130,8 @@ def _record(value):
 def fill_truth(truth, folder, pixels=None, seed=None):
     """Write ``truth.json`` and ``states.csv`` (exact states, with contacts) into an empty folder.
 
-    Parameters
-    ----------
-    pixels : DataFrame, optional
-        Where bodies are in the frames of films; written as ``pixels.csv``.
-    seed : int, optional
-        Of the generator that the data were made with, for the record.
+    `pixels` (a DataFrame), where bodies are in the frames of films, goes into ``pixels.csv``; the
+    seed of the generator is for the record.
     """
     text = json.dumps(
         {"seed": seed, **truth.to_dict()}, indent=1, ensure_ascii=False, allow_nan=False

@@ -74,12 +74,8 @@ class Jobs:
     def start(self, words, data, out=None):
         """Queue ``bsp-gp WORDS DATA``.
 
-        Parameters
-        ----------
-        words : sequence of str
-            The command and its options.
-        out : path-like, optional
-            Where the result goes; by default the folder ``report`` of the job.
+        WORDS are the command and its options; `out` is where the result goes, by default the folder
+        ``report`` of the job.
         """
         key = secrets.token_hex(8)
         folder = self.folder / key
