@@ -40,8 +40,7 @@ def below_each_other(table):
     Every part of it must increase from row to row. Where a column tells recordings or bodies apart,
     or times are dates, it is left as it is.
     """
-    columns = set(map(str, table.frame.columns))
-    if "t" not in columns or {"scene", "entity"} & columns or table.is_dated:
+    if "t" not in table or table.owners or table.is_dated:
         return table
     if table.frame["t"].dtype.kind not in "fiu":
         return table

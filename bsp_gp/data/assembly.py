@@ -280,10 +280,8 @@ def axes_of(table, declaration):
             f"{names[0]}=UNIT, makes it an input of laws; if all motion is along {along}, "
             f"--columns {ignored}",
         )  # fmt: skip
-    note = () if is_angle(angle) else (
-        f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",
-    )  # fmt: skip
-    return ["x", "y"], note
+    note = f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}"
+    return ["x", "y"], () if is_angle(angle) else (note,)
 
 
 def _require_clock(table, declaration):
@@ -304,13 +302,12 @@ def _require_right_clock(table, axes):
     Of columns without names, which are read in their order, one that increases over the whole file
     is one as well, however unevenly, where that of the times falls back anywhere.
     """
-    columns = set(table.columns)
-    if "t" not in columns or {"scene", "entity"} & columns:
+    if "t" not in table or table.owners:
         return
     times, is_bare = np.diff(table.numbers("t")), table.theirs.get("t", "").isdecimal()
     if not len(times) or (times <= 0).mean() <= (0 if is_bare else MOST_SLIPS):
         return
-    places = [axis for axis in axes if axis in columns]
+    places = [axis for axis in axes if axis in table]
     even = [axis for axis in places if _is_clock(table, axis)]
     rising = [axis for axis in places if is_bare and (np.diff(table.numbers(axis)) > 0).all()]
     if not even + rising:

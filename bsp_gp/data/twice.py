@@ -56,8 +56,7 @@ def without_copies(rows):
     if rows.sigma is not None:
         same += [(np.isnan(s[1:]) & np.isnan(s[:-1])) | (s[1:] == s[:-1]) for s in rows.sigma.T]
     is_copy = np.append(False, np.all(same, axis=0))
-    if rows.velocities is not None or not is_copy.any():
-        return rows
+    is_copy &= rows.velocities is None
     return _left_out(rows, is_copy, "say time and place of the row before again")
 
 
@@ -73,8 +72,6 @@ def without_slips(rows):
     is_late = times <= before
     is_few = is_late.groupby(key).transform("mean") <= MOST_SLIPS
     is_slip = (is_late & is_few).to_numpy()
-    if not is_slip.any():
-        return rows
     return _left_out(rows, is_slip, "have a time that is not after those before")
 
 
@@ -91,8 +88,6 @@ def without_held(rows):
     key = rows.tracks
     for own in pd.Series(key).groupby(key).indices.values():
         is_held[own] = _are_held(rows.times[own], rows.positions[own])
-    if not is_held.any():
-        return rows
     return _left_out(rows, is_held, "hold the place of the row before, and leap to the next")
 
 
@@ -138,6 +133,9 @@ def _quantum(steps):
 
 
 def _left_out(rows, is_out, what):
+    """Rows without some, and a check that says so; the same ones without any."""
+    if not is_out.any():
+        return rows
     lines = rows.lines[is_out]
     named = listed(list(dict.fromkeys(lines.tolist())), LISTED)  # of bodies side by side, once
     note = f"{len(lines)} row(s) {what}: left out (line {named})"

@@ -86,6 +86,11 @@ def _kernel(radius):
     return np.clip(radius + 0.5 - np.hypot(x, y), 0, 1).astype(np.float32)
 
 
+def _score(image, kind):
+    """1 where pixels are of a disc's colour, -1 elsewhere."""
+    return is_colour(image, kind.colour, TOLERANCE).astype(np.float32) * 2 - 1
+
+
 def find_discs(image, kind):
     """Find the discs of one kind in one image, without knowing how many there are.
 
@@ -98,8 +103,7 @@ def find_discs(image, kind):
     list of (float, float)
         Centres, px, to a few pixels; best first.
     """
-    small = image[SCALE // 2 :: SCALE, SCALE // 2 :: SCALE]
-    score = is_colour(small, kind.colour, TOLERANCE).astype(np.float32) * 2 - 1
+    score = _score(image[SCALE // 2 :: SCALE, SCALE // 2 :: SCALE], kind)
     kernel = _kernel(kind.radius / SCALE)
     area = kernel.sum()
     y, x = np.mgrid[: score.shape[0], : score.shape[1]]
@@ -138,7 +142,7 @@ def follow(image, kind, predicted, others, search=SEARCH):
     patch = image[y0 : max(top + 2 * span + 1, 0) : SCALE, x0 : max(left + 2 * span + 1, 0) : SCALE]
     if patch.size == 0:
         return tuple(predicted), 0.0
-    score = is_colour(patch, kind.colour, TOLERANCE).astype(np.float32) * 2 - 1
+    score = _score(patch, kind)
     y, x = np.mgrid[: score.shape[0], : score.shape[1]]
     y, x = y * SCALE + y0, x * SCALE + x0
     for cx, cy, reach in others:
