@@ -4,11 +4,15 @@ So is what stands below a clock that begins anew. One file may hold throw after 
 each under a name of its own. As one scene every throw would exist from the first row on, long
 before it is seen, and a law that brings tracks together in the past (drag, run backwards) could not
 be fitted at all.
+
+Bodies that are seen together may seem to be at one point at times, since their places were rounded
+to whole pixels.
 """
 
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from bsp_gp.data.notes import listed
 from bsp_gp.data.scene import CHECK
@@ -22,6 +26,12 @@ NEAR_HOME, LEAP, LEAST_BACK = 0.1, 0.5, 2
 leaps; how often it is back so where recordings may stand below each other."""
 MAX_NAMES = 3
 """Bodies that the name of a scene tells, and scenes that a note lists times four."""
+MOST, LEAST_ROWS = 0.25, 12
+"""Part of the rows of a body in which it may be where another is, of so many at least."""
+WHOLE = 1e-3
+"""Part of a step that places may be off whole ones."""
+LEAST_STEP = 1e-6
+"""Part of the whole way that a step has at least; finer ones make no two places the same."""
 
 
 def below_each_other(table):
@@ -30,8 +40,7 @@ def below_each_other(table):
     Every part of it must increase from row to row. Where a column tells recordings or bodies apart,
     or times are dates, it is left as it is.
     """
-    columns = set(map(str, table.frame.columns))
-    if "t" not in columns or {"scene", "entity"} & columns or table.is_dated:
+    if "t" not in table or table.owners or table.is_dated:
         return table
     if table.frame["t"].dtype.kind not in "fiu":
         return table
@@ -83,13 +92,9 @@ def may_be_below(rows):
 def recordings_apart(rows, roster, has_scenes):
     """Rows of one scene as scenes of bodies whose times overlap, directly or through others.
 
-    Parameters
-    ----------
-    roster : Roster or None
-        Where it holds bodies that do not move, or speaks of scenes, nothing is taken apart: a wall
-        is there though it is seen once.
-    has_scenes : bool
-        Whether the table says which rows are one scene; then it is believed.
+    Nothing is taken apart where the roster (or None) holds bodies that do not move, or speaks of
+    scenes: a wall is there though it is seen once; nor where the table says itself which rows are
+    one scene (`has_scenes`).
     """
     if has_scenes or len(rows.entity_names) < 2 or _has_own_scenes(roster):
         return rows
@@ -130,3 +135,43 @@ def _name(bodies):
     if len(bodies) > MAX_NAMES:
         return f"{bodies[0]} and {len(bodies) - 1} more"
     return " and ".join(bodies)
+
+
+def without_meetings(rows):
+    """Rows without those in which a body is where one before it is.
+
+    No force between the two has a direction there, which rounding alone has made; where places
+    were not rounded, or bodies meet often, nothing is left out.
+    """
+    if rows.may_meet or len(rows.entity_names) < 2:
+        return rows
+    order = np.argsort(rows.entity, kind="stable")
+    where = pd.DataFrame(rows.positions).assign(scene=rows.scene, time=rows.times)
+    is_met = np.zeros(len(rows.times), dtype=bool)
+    is_met[order] = where.iloc[order].duplicated().to_numpy()
+    if not is_met.any() or not all(map(_is_rounded, rows.positions.T)):
+        return rows
+    counts = np.bincount(rows.entity, minlength=len(rows.entity_names))
+    met = np.bincount(rows.entity[is_met], minlength=len(counts))
+    if (counts[met > 0] < LEAST_ROWS).any() or (met > MOST * counts).any():
+        return rows
+    each = [f"{rows.entity_names[k]!r} in {met[k]} of {counts[k]}" for k in np.flatnonzero(met)]
+    note = (
+        f"{CHECK}within the digits of the places another body is at the same point as "
+        f"{listed(each)} row(s): there, these rows are gaps in its track (line "
+        f"{listed(rows.lines[is_met], 8)}); if they are one body that was measured twice, "
+        "leave one of them out"
+    )
+    return rows.taken(np.flatnonzero(~is_met)).noted(note)
+
+
+def _is_rounded(places):
+    """Whether all places along an axis are whole steps apart."""
+    known = np.unique(places[np.isfinite(places)])
+    if len(known) < 2:
+        return True
+    step = np.diff(known).min()
+    if step < LEAST_STEP * np.ptp(known):
+        return False
+    steps = (known - known[0]) / step
+    return bool(np.abs(steps - np.round(steps)).max() < WHOLE)

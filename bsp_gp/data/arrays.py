@@ -7,7 +7,6 @@ from bsp_gp.data.headings import is_error
 from bsp_gp.errors import DataError
 
 ENDINGS = (".mat", ".npz")
-_AXES = ("x", "y", "z")
 _REMEDY = "save vectors of one length: t, x, y (and others), or a table as CSV"
 _TIMES = ("time", "t", "tout", "times")
 MOST_SIDE_BY_SIDE, MOST_BODIES = 12, 1000
@@ -99,9 +98,9 @@ def _put(columns, name, value, labels):
             _put_bodies(columns, name, value, labels)
         elif value.ndim == 2 and min(value.shape) <= MOST_SIDE_BY_SIDE:
             value = value if value.shape[0] >= value.shape[1] else value.T
-            is_place = 2 <= value.shape[1] <= len(_AXES)
+            is_place = 2 <= value.shape[1] <= 3
             for k, own in enumerate(value.T):
-                columns[f"{name}_{_AXES[k] if is_place else k + 1}"] = own
+                columns[f"{name}_{'xyz'[k] if is_place else k + 1}"] = own
         elif value.ndim == 1 and len(value) > 1:
             columns[name] = value
 
@@ -110,12 +109,12 @@ def _put_bodies(columns, name, value, labels):
     """Add the axes of bodies, (times, bodies, axes) or (bodies, times, axes)."""
     value = value if value.shape[0] >= value.shape[1] else np.swapaxes(value, 0, 1)
     _, count, n_axes = value.shape
-    if not 2 <= n_axes <= len(_AXES) or count > MOST_BODIES:
+    if not 2 <= n_axes <= 3 or count > MOST_BODIES:
         return
     names = labels.get(count, [f"body{k + 1}" for k in range(count)])
     for k, body in enumerate(map(_body, names)):
         is_first = f"{body}_x" not in columns and not is_error(name)
-        for axis, own in zip(_AXES, value[:, k].T, strict=False):
+        for axis, own in zip("xyz", value[:, k].T, strict=False):
             columns[f"{body}_{axis}" if is_first else f"{body}_{name}_{axis}"] = own
 
 

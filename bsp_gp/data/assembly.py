@@ -95,6 +95,13 @@ class Rows:
         """Of every row a number for its entity in its scene, shape (n,)."""
         return self.scene * len(self.entity_names) + self.entity
 
+    @property
+    def steps(self):
+        """Rows of one track next to each other, two arrays of them, and the time between them."""
+        order = np.argsort(self.tracks, kind="stable")
+        same = np.diff(self.tracks[order]) == 0
+        return order[:-1][same], order[1:][same], np.diff(self.times[order])[same]
+
     def noted(self, *notes):
         """The same with more notes; empty ones are none."""
         return replace(self, notes=(*self.notes, *filter(None, notes)))
@@ -120,48 +127,39 @@ class Rows:
 def build_rows(table, declaration, conversion, *, scene_name):
     """Check the columns of a trajectory table and convert them.
 
-    Parameters
-    ----------
-    scene_name : str
-        Name of the scene where the table has no such column.
+    Without a column of scenes all rows are of one, `scene_name`.
     """
     axes, line_notes = axes_of(table, declaration)
     table, foot_notes = _without_timeless_ends(table)
     table, gap_notes = _without_gaps(table)
     _require_right_clock(table, axes)
-    known = table.axes
-    still = np.zeros(len(table.frame))
-    positions = [_numbers(table, a) * conversion.length(a) if a in known else still for a in axes]
-    velocities = None
+    known, velocities = table.axes, None
+    positions = _stacked(table, axes, "", conversion.length)
     if declaration.velocity == "measured":
         table.require([f"v{axis}" for axis in known])
-        velocities = [
-            _numbers(table, f"v{a}", can_be_blank=True) * conversion.velocity(f"v{a}")
-            if a in known
-            else still
-            for a in axes
-        ]
+        velocities = _stacked(table, axes, "v", lambda a: conversion.velocity(f"v{a}"), True)
     scene, scene_names = _codes(table, "scene", scene_name)
     entity, entity_names = _codes(table, "entity", table.title or "object")
+    times = _times(table, declaration, conversion)
     return Rows(
-        scene,
-        scene_names,
-        entity,
-        entity_names,
-        _times(table, declaration, conversion),
-        np.stack(positions, axis=1),
-        None if velocities is None else np.stack(velocities, axis=1),
-        _sigma(table, axes, conversion),
-        table.frame.index.to_numpy(),
-        table.file,
-        (*line_notes, *foot_notes, *gap_notes),
-        _inputs(table, declaration, conversion),
-        _first(table, declaration, conversion, axes),
-        declaration.first_position == "exact",
-        conversion.system.is_angle or len(known) == 1,  # sensors of their own, each from its zero
-        logged_columns(table, inputs_of(table, declaration)),
-        conversion.time() if "t" in table.frame.columns else 1.0,
-    )
+        scene, scene_names, entity, entity_names, times, positions, velocities,
+        _sigma(table, axes, conversion), table.frame.index.to_numpy(), table.file,
+        (*line_notes, *foot_notes, *gap_notes), _inputs(table, declaration, conversion),
+        _first(table, declaration, conversion, axes), declaration.first_position == "exact",
+        # Sensors along one axis have each a zero of its own.
+        may_meet=conversion.system.is_angle or len(known) == 1,
+        logged=logged_columns(table, inputs_of(table, declaration)),
+        second=conversion.time() if "t" in table else 1.0,
+    )  # fmt: skip
+
+
+def _stacked(table, axes, prefix, scale, can_be_blank=False):
+    """One column for each axis, (n, d) in SI by ``scale(axis)``; 0 along axes without places."""
+    out = np.zeros((len(table.frame), len(axes)))
+    for k, axis in enumerate(axes):
+        if axis in table:
+            out[:, k] = _numbers(table, f"{prefix}{axis}", can_be_blank) * scale(axis)
+    return out
 
 
 def _first(table, declaration, conversion, axes):
@@ -183,15 +181,8 @@ def _first(table, declaration, conversion, axes):
                 + (' (standard errors of the velocities), or write "exact"' if prefix == "sv"
                    else ', or write velocity = "rest" for bodies that are let go'),
             )  # fmt: skip
-    parts = []
-    for prefix in prefixes:
-        values = np.zeros(shape)
-        for k, axis in enumerate(axes):
-            if axis in known:
-                name = f"{prefix}{axis}"
-                scale = conversion.velocity(name if prefix == "v" else f"v{axis}")
-                values[:, k] = _numbers(table, name, can_be_blank=True) * scale
-        parts.append(values)
+    parts = [_stacked(table, axes, prefix, lambda a: conversion.velocity(f"v{a}"), True)
+             for prefix in prefixes]  # fmt: skip
     if said == "exact":
         parts.append(np.where(np.isfinite(parts[0]), 0.0, np.nan))
     elif (parts[1] <= 0).any():
@@ -231,12 +222,7 @@ def along_named_axis(table, declaration):
     """The table with its only place along the axis that laws name, if they name another one only.
 
     A height that a file calls one is read as y; who writes laws in x means it all the same. A lone
-    z is a height.
-
-    Parameters
-    ----------
-    declaration : Declaration
-        ``uses`` has the names in laws.
+    z is a height. ``declaration.uses`` has the names in laws.
     """
     own = table.axes
     named = [axis for axis in "xyz" if {f"{axis}_i", f"e_{axis}"} & set(declaration.uses)]
@@ -294,10 +280,8 @@ def axes_of(table, declaration):
             f"{names[0]}=UNIT, makes it an input of laws; if all motion is along {along}, "
             f"--columns {ignored}",
         )  # fmt: skip
-    note = () if is_angle(angle) else (
-        f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}",
-    )  # fmt: skip
-    return ["x", "y"], note
+    note = f"there is no column {other!r}: it is taken as 0, motion along {axes[0]}"
+    return ["x", "y"], () if is_angle(angle) else (note,)
 
 
 def _require_clock(table, declaration):
@@ -318,13 +302,12 @@ def _require_right_clock(table, axes):
     Of columns without names, which are read in their order, one that increases over the whole file
     is one as well, however unevenly, where that of the times falls back anywhere.
     """
-    columns = set(table.columns)
-    if "t" not in columns or {"scene", "entity"} & columns:
+    if "t" not in table or table.owners:
         return
     times, is_bare = np.diff(table.numbers("t")), table.theirs.get("t", "").isdecimal()
     if not len(times) or (times <= 0).mean() <= (0 if is_bare else MOST_SLIPS):
         return
-    places = [axis for axis in axes if axis in columns]
+    places = [axis for axis in axes if axis in table]
     even = [axis for axis in places if _is_clock(table, axis)]
     rising = [axis for axis in places if is_bare and (np.diff(table.numbers(axis)) > 0).all()]
     if not even + rising:
@@ -467,20 +450,17 @@ def _times(table, declaration, conversion):
 
 
 def _sigma(table, axes, conversion):
-    if not any(f"s{axis}" in table.frame.columns for axis in axes):
+    if not any(f"s{axis}" in table for axis in axes):
         return None
-    columns = []
-    for axis in axes:
-        column = f"s{axis}"
-        if column not in table.frame.columns:
-            columns.append(np.full(len(table.frame), np.nan))
-            continue
-        values = _numbers(table, column, can_be_blank=True) * conversion.length(column)
-        if (values < 0).any():
-            k = int((values < 0).argmax())
-            table.fail(f"a standard error must not be negative, got {values[k]:g}", column, row=k)
-        columns.append(values)
-    return np.stack(columns, axis=1)
+    out = np.full((len(table.frame), len(axes)), np.nan)
+    for k, column in enumerate(f"s{axis}" for axis in axes):
+        if column in table:
+            out[:, k] = _numbers(table, column, can_be_blank=True) * conversion.length(column)
+            if (out[:, k] < 0).any():
+                row = int((out[:, k] < 0).argmax())
+                problem = f"a standard error must not be negative, got {out[row, k]:g}"
+                table.fail(problem, column, row=row)
+    return out
 
 
 def _codes(table, column, default):
@@ -509,17 +489,14 @@ _BELOW = (
 
 def _check_order(rows):
     """Times of one entity must increase; returns the smallest step of every scene."""
-    key = rows.tracks
-    order = np.argsort(key, kind="stable")
-    steps = np.diff(rows.times[order])
-    same = np.diff(key[order]) == 0
-    bad = same & (steps <= 0)
+    earlier, later, steps = rows.steps
+    bad = steps <= 0
     if bad.any():
-        k = order[1:][bad].min()
-        place = int(np.flatnonzero(order == k)[0])
-        before, now = (rows.times[each] / rows.second for each in (order[place - 1], k))
+        first = later[bad].argmin()
+        k = later[bad][first]
+        before, now = (rows.times[each] / rows.second for each in (earlier[bad][first], k))
         if now == before:
-            own = rows.times[key == key[k]]
+            own = rows.times[rows.tracks == rows.tracks[k]]
             rows.fail(
                 f"{rows.label(k)} has two rows at t = {before:.9g} (duplicate)", k, "t",
                 f"keep one row per scene, time and entity; {_BELOW}{_of_rounded(own)}",
@@ -530,7 +507,7 @@ def _check_order(rows):
             f"stand; {_BELOW}",
         )  # fmt: skip
     smallest = np.full(len(rows.scene_names), np.inf)
-    np.minimum.at(smallest, rows.scene[order[1:]][same], steps[same])
+    np.minimum.at(smallest, rows.scene[later], steps)
     return smallest
 
 
@@ -582,22 +559,16 @@ def _time_index(rows, smallest):
     rounding = 2 * np.finfo(float).eps * np.abs(times)
     tolerance = np.minimum(np.maximum(1e-9 * step, rounding), 1e-3 * step)
     tolerance[np.isinf(step)] = 0.0
-    is_new = np.ones(len(order), dtype=bool)
-    is_first = np.ones(len(order), dtype=bool)
-    is_first[1:] = np.diff(scene) != 0
-    is_new[1:] = is_first[1:] | (np.diff(times) > tolerance[1:])
+    is_first = np.append(True, np.diff(scene) != 0)
+    is_new = is_first | np.append(True, np.diff(times) > tolerance[1:])
     return order, is_new, np.flatnonzero(is_first)
 
 
 def build_scenes(rows, roster, *, without_track=()):
     """Scenes in order of first appearance, and notes.
 
-    Parameters
-    ----------
-    roster : Roster or None
-        None: every entity is a point of unknown mass.
-    without_track : sequence of str
-        Names in the roster that need no rows.
+    Without a roster (None) every entity is a point of unknown mass; names in `without_track` need
+    no rows.
     """
     smallest = _check_order(rows)
     order, is_new, starts = _time_index(rows, smallest)
@@ -641,9 +612,7 @@ def _entities(rows, part, roster, points, used):
         )  # fmt: skip
     used.update(places)
     ranks = np.argsort(places)
-    column = np.empty(len(ranks), dtype=np.int64)
-    column[ranks] = np.arange(len(ranks))
-    return tuple(roster.entities[places[k]] for k in ranks), column[local]
+    return tuple(roster.entities[places[k]] for k in ranks), np.argsort(ranks)[local]
 
 
 def _scene(rows, part, entities, row, local, is_new, shape):
@@ -664,17 +633,12 @@ def _scene(rows, part, entities, row, local, is_new, shape):
     name = rows.scene_names[rows.scene[part[0]]]
     try:
         return Scene(
-            name,
-            rows.times[part][is_new],
-            spread(rows.positions),
-            entities,
-            spread(rows.velocities),
-            spread(rows.sigma),
+            name, rows.times[part][is_new], spread(rows.positions), entities,
+            spread(rows.velocities), spread(rows.sigma),
             {n: spread(v) for n, (v, _) in rows.inputs.items() if np.isfinite(v[part]).any()},
-            first_state(),
-            rows.may_meet,
+            first_state(), rows.may_meet,
             {n: spread(v) for n, (_, v, _) in rows.logged.items() if np.isfinite(v[part]).any()},
-        )
+        )  # fmt: skip
     except DataError as error:
         raise DataError(error.problem, file=rows.file, remedy=error.remedy) from error
 

@@ -27,21 +27,11 @@ COARSE = 1.5
 
 
 def in_blocks(dataset, most_rows=MOST_ROWS):
-    """The data set with its long, dense tracks averaged, and a note of it.
+    """The data set with its long, dense tracks averaged, and a note of it; itself without such.
 
     Nothing is done where rows are counted (`Evaluation`), noise is exact, adds up or has a declared
     memory, bodies may touch, or rows come at uneven times. Gross errors are in no mean, which is
-    told.
-
-    Parameters
-    ----------
-    most_rows : int
-        Rows that are left of a longer scene, about.
-
-    Returns
-    -------
-    Dataset
-        The same one where no scene was averaged.
+    told. About `most_rows` are left of a longer scene.
     """
     is_plain = dataset.evaluation == Evaluation() and not dataset.noise_memory
     is_plain &= not dataset.is_summed

@@ -36,13 +36,7 @@ def plain_cell(value):
 
 
 def safe_table(frame):
-    """A DataFrame ready for `to_csv`: texts of its cells, header and index as `safe_cell` has them.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A new one.
-    """
+    """A new DataFrame for `to_csv`: texts of cells, header and index as `safe_cell` has them."""
     texts = [c for c in frame.columns if not pd.api.types.is_numeric_dtype(frame[c])]
     frame = frame.assign(**{str(c): frame[c].map(safe_cell) for c in texts})
     if not pd.api.types.is_numeric_dtype(frame.index):

@@ -40,22 +40,11 @@ def slope_on_clock(times, values):
 
 
 def check_declared_rate(rows, declaration, second):
-    """Compare the column t with a declared ``dt`` or ``fps``.
+    """Compare the column t with a declared ``dt`` or ``fps``; notes, a tuple of str.
 
     The column counts in any case. Rows that are whole numbers of steps apart are gaps, or every
-    k-th frame of a recording.
-
-    Parameters
-    ----------
-    rows : Rows
-        With times of the column t, increasing for every entity of a scene.
-    second : float
-        Of the unit of the column t, how many seconds it is.
-
-    Returns
-    -------
-    tuple of str
-        A note where rows are some whole steps apart throughout.
+    k-th frame of a recording; where they are so throughout it is noted. Times increase for every
+    entity of a scene; `second` is the unit of the column t, s.
 
     Raises
     ------
@@ -68,7 +57,9 @@ def check_declared_rate(rows, declaration, second):
     name = "dt" if declaration.fps is None else "fps"
     value = f"{name} = {getattr(declaration, name):g}"
     usual = {}
-    for scene, gaps in _gaps_of_scenes(rows).items():
+    _, later, steps = rows.steps
+    for scene in np.unique(rows.scene[later]).tolist():
+        gaps = steps[rows.scene[later] == scene]
         counts = np.maximum(np.round(gaps / step), 1)
         # Digits that were rounded leave the mean right, some rows at odd times the median.
         means = gaps.sum() / counts.sum(), np.median(gaps / counts)
@@ -91,29 +82,14 @@ def check_declared_rate(rows, declaration, second):
     )
 
 
-def _gaps_of_scenes(rows):
-    """Steps of time between successive rows of an entity, by scene code."""
-    key = rows.tracks
-    order = np.argsort(key, kind="stable")
-    same = np.diff(key[order]) == 0
-    gaps, scene = np.diff(rows.times[order])[same], rows.scene[order[1:]][same]
-    return {int(code): gaps[scene == code] for code in np.unique(scene)}
-
-
 def clock_jumps(rows, scenes, second):
     """Notes of times that jump while the bodies go on as if they had not.
 
     At a gap a body is somewhere else: it went on while nobody looked. Where its positions go on,
     within what is usual along its track, as if one step had passed, and at its speed it would have
     left by far, the clock jumped and not the body. Bodies at rest say nothing; one that was
-    somewhere else after all is enough for a gap.
-
-    Parameters
-    ----------
-    rows : Rows
-        Those that the scenes were made of.
-    second : float
-        Of the unit of the column t, how many seconds it is.
+    somewhere else after all is enough for a gap. `rows` are those that the scenes were made of;
+    `second` is the unit of the column t, s.
     """
     notes = []
     for code, scene in enumerate(scenes):

@@ -27,8 +27,9 @@ _PIXEL = re.compile(r"\b(?:px|pixels?|arcsec(?:ond)?s?|mas)\b", re.IGNORECASE)
 """In the place of a length, see `bsp_gp.units.UNCALIBRATED`."""
 _MAS = re.compile(r"\bmas\b", re.IGNORECASE)
 _NUMBERED = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+(.+)")
-_LENGTH = Unit.of(m=1)
-_TIME = Unit.of(s=1)
+LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
+_EXAMPLES = {"time": ("s", "--fps 25 where it counts frames"),
+             "length": ("m", '"px" if the picture is not calibrated')}  # fmt: skip
 COLUMN_KINDS = {"t": "time"} | {
     f"{prefix}{axis}": kind
     for axis in "xyz"
@@ -124,10 +125,8 @@ class Conversion:
         self.file, self.of_sight = file, of_sight
         unknown = sorted(set(self.declared) - set(KINDS) - columns)
         if unknown:
-            self._fail(
-                f"[units] has {unknown[0]!r}, which is neither a kind ({', '.join(KINDS)}) "
-                f"nor a column ({', '.join(sorted(columns))})"
-            )
+            self._fail(f"[units] has {unknown[0]!r}, which is neither a kind ({', '.join(KINDS)}) "
+                       f"nor a column ({', '.join(sorted(columns))})")  # fmt: skip
         kinds = dict(self.declared)
         axis = "x" if "x" in columns else "y"  # motion along y alone has no x
         for kind, column in (("length", axis), ("time", "t")):
@@ -137,15 +136,9 @@ class Conversion:
             kinds.setdefault("time", "s")
         missing = [kind for kind in ("time", "length") if kind not in kinds]
         if len(missing) == 1 and not may_be_half:
-            example = {"time": "s", "length": "m"}[missing[0]]
-            other = {
-                "time": " (or --fps 25 where it counts frames)",
-                "length": ' (or "px" if the picture is not calibrated)',
-            }[missing[0]]
-            self._fail(
-                f"[units] gives no unit of {missing[0]}",
-                remedy=f'add {missing[0]} = "{example}", or --units {missing[0]}={example}{other}',
-            )
+            (kind,), (example, other) = missing, _EXAMPLES[missing[0]]
+            self._fail(f"[units] gives no unit of {kind}",
+                       remedy=f'add {kind} = "{example}", or --units {kind}={example} (or {other})')
         self._kinds = kinds
         self.system = UnitSystem.from_declared(kinds)
         self.is_pixels = self.system.symbols.get("m") in UNCALIBRATED.values()
@@ -162,11 +155,8 @@ class Conversion:
         except UnitError as error:
             raise DataError(f"[units]: {error}", file=self.file, column=key) from error
         if _PIXEL.search(text) and not self.is_pixels:
-            self._fail(
-                f"unit {text!r} has no length in SI, but other lengths have",
-                key,
-                remedy='give every length in one system; length = "px" means not calibrated',
-            )
+            self._fail(f"unit {text!r} has no length in SI, but other lengths have", key,
+                       'give every length in one system; length = "px" means not calibrated')
         if expected is not None and unit != expected:
             self._fail(f"the unit must be one of {expected}, got {text!r} ({unit})", key)
         return scale, unit
@@ -174,7 +164,7 @@ class Conversion:
     def time(self):
         """Scale of the column t (and of `dt`)."""
         text = self.declared.get("t", self._kinds.get("time"))
-        return 1.0 if text is None else self._read("t", text, _TIME)[0]
+        return 1.0 if text is None else self._read("t", text, TIME)[0]
 
     def length(self, column):
         """Scale of a column that holds lengths."""
@@ -186,13 +176,13 @@ class Conversion:
             return ANGLES[text.strip().lower()]
         if text is None or (self.of_sight and is_speed(text)):
             return 1.0
-        return self._read(column, text, _LENGTH)[0]
+        return self._read(column, text, LENGTH)[0]
 
     def velocity(self, column):
         """Scale of a column of velocities: its own unit, else length/time."""
         text = self.declared.get(column, self.declared.get("velocity"))
         if text is not None:
-            return self._read(column, text, _LENGTH / _TIME)[0]
+            return self._read(column, text, LENGTH / TIME)[0]
         return self.length(column[-1]) / self.time()
 
     def property(self, name, columns=()):
@@ -216,7 +206,7 @@ class Conversion:
         if expected is None:
             note = f"column {name!r} has no declared unit: read as a pure number"
             return 1.0, DIMENSIONLESS, note
-        if expected == _LENGTH:
+        if expected == LENGTH:
             return self.length(name), expected, None
         scales = {
             kind: self._read(kind, self._kinds[kind])[0] if kind in self._kinds else 1.0
@@ -226,7 +216,6 @@ class Conversion:
             return scales[name], expected, None
         is_plain = scales["time"] == 1.0 and scales["mass"] == 1.0
         if not expected.is_dimensionless and not is_plain:
-            self._fail(
-                f"column {name!r} has no unit of its own", name, f'add {name} = "{expected}"'
-            )
+            problem = f"column {name!r} has no unit of its own"
+            self._fail(problem, name, f'add {name} = "{expected}"')
         return 1.0, expected, None

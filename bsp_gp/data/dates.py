@@ -34,24 +34,17 @@ _OF_JAVA = r"^[A-Z][a-z]{2} ([A-Z][a-z]{2}) +(\d{1,2}) (\d\d:\d\d:\d\d)(?: ([A-Z
 _CLOCK = r"\d{1,3}:\d\d:\d\d(?:[.,]\d+)?"
 _MINUTES = r"\d{1,3}:\d\d[.,]\d+"
 """``38:05.6``, as spreadsheets show a time of the day with parts of a second; ``12:30`` is none."""
-HOUR = 3600.0
-
-
-EARLIEST, DAY = 1.0e9, 86_400.0
-"""Seconds since 1970 of the year 2001, and of a day."""
+HOUR, DAY = 3600.0, 86_400.0
+EARLIEST = 1.0e9
+"""Seconds since 1970 of the year 2001."""
 _TICKS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 
 
 def since_1970(times, unit=""):
     """Unix times in seconds since the first of them, and the unit they count; None of others.
 
-    What would be in the future counts from another instant.
-
-    Parameters
-    ----------
-    times : ndarray
-    unit : str
-        That is said of them; empty = none.
+    What would be in the future counts from another instant. `unit` is that which is said of them,
+    if any.
     """
     known = times[np.isfinite(times)]
     for name, ticks in _TICKS.items():
@@ -64,10 +57,7 @@ def since_1970(times, unit=""):
 def seconds_of(cells):
     """Times in seconds, and since when; None if they are no dates.
 
-    Parameters
-    ----------
-    cells : Series of str, or of dates
-        Blank ones are missing.
+    Blank cells are missing.
 
     Returns
     -------
@@ -85,7 +75,7 @@ def seconds_of(cells):
         if _are(known, _CLOCK):
             return _spread(is_known, _of_parts(known, [3600.0, 60.0, 1.0])), "midnight"
         if _are(known, _MINUTES):
-            return _spread(is_known, _over_hours(_of_parts(known, [60.0, 1.0]))), "the full hour"
+            return _spread(is_known, going_on(_of_parts(known, [60.0, 1.0]), HOUR)), "the full hour"
         if _are(known, _TURNED):
             known = _either_way(known)
             if known is None:
@@ -119,9 +109,9 @@ def _of_parts(cells, sizes):
     return parts.to_numpy() @ sizes
 
 
-def _over_hours(seconds):
-    """Seconds of the hour that go on where another hour begins."""
-    return seconds + HOUR * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -HOUR / 2)
+def going_on(seconds, turn):
+    """Seconds (n,) of an hour, or of a day (`turn`), that go on where another begins."""
+    return seconds + turn * np.cumsum(np.diff(seconds, prepend=seconds[0]) < -turn / 2)
 
 
 def _either_way(cells):
@@ -146,18 +136,14 @@ def _spread(is_known, values):
 
 def with_unix_times(table, units):
     """Unix times, whatever they count, in seconds since the first."""
-    if "t" not in table or table.is_dated:
-        return table
-    if not table.is_numeric("t"):
+    if "t" not in table or table.is_dated or not table.is_numeric("t"):
         return table
     said = units.get("t", units.get("time", table.units.get("t", "")))
     found = since_1970(table.frame["t"].to_numpy(dtype=float), said)
     if found is None:
         return table
     times, unit = found
-    table = replace(
-        table.assigned(t=times), units={**table.units, "t": "s"}, is_dated=True
-    )
+    table = replace(table.assigned(t=times), units={**table.units, "t": "s"}, is_dated=True)
     return table.noted(f"times count {unit} since 1970: they are in seconds since the first")
 
 

@@ -116,9 +116,7 @@ class Declaration:
             changes["units"] = {**self.units, **reader.texts(units, "units")}
         if columns is not None:
             renames = reader.texts(columns, "columns")
-            changes["velocity"] = reader.choice(
-                renames, "velocity", SEEN, self.velocity
-            )
+            changes["velocity"] = reader.choice(renames, "velocity", SEEN, self.velocity)
             renames.pop("velocity", None)
             ours = _our_keys(renames)
             changes["columns"] = {**self.columns, **ours}
@@ -198,11 +196,9 @@ def read_declaration(path):
     except TomlError as error:
         line = re.search(r"line (\d+)", str(error))
         raise DataError(
-            f"this is not valid TOML: {error}",
-            file=path,
-            row=int(line.group(1)) if line else None,
+            f"this is not valid TOML: {error}", file=path, row=int(line[1]) if line else None,
             remedy='texts stand in quotes and tables in brackets: [units], length = "m"',
-        ) from error
+        ) from error  # fmt: skip
     return _Reader(content, str(path)).declaration()
 
 
@@ -320,13 +316,10 @@ class _Reader:
 
     def noise_memory(self):
         value = self.content.get("noise_memory")
-        if value is None:
-            return None
-        value = self.number(value, "noise_memory")
-        if value < 0:
-            self.fail(
-                f"noise_memory must not be negative, got {value:g}", remedy="0 means white noise"
-            )
+        value = None if value is None else self.number(value, "noise_memory")
+        if value is not None and value < 0:
+            problem = f"noise_memory must not be negative, got {value:g}"
+            self.fail(problem, remedy="0 means white noise")
         return value
 
     def latents(self):
@@ -338,25 +331,19 @@ class _Reader:
             self.known(table, allowed, f"in [latent.{name}]")
             if ":" in str(table.get("prior", "")):
                 table = {**table, **self.prior(table, name)}
-            numbers = {
-                k: self.number(table[k], k) for k in ("low", "high", "mean", "sd") if k in table
-            }
-            bounds = {k: numbers[k] for k in ("low", "high") if k in numbers}
+            known = [k for k in ("low", "high", "mean", "sd") if k in table]
+            numbers = {k: self.number(table[k], k) for k in known}
+            bounds = {k: numbers[k] for k in known if k in ("low", "high")}
             if len(bounds) == 2 and bounds["low"] >= bounds["high"]:
                 self.fail(f"low must be below high in [latent.{name}], got {bounds}")
             values = table.get("values", [])
             if not isinstance(values, list):
                 self.fail(f"values in [latent.{name}] must be a list, got {values!r:.60}")
             texts = self.texts({k: table[k] for k in ("prior", "share") if k in table}, name)
-            found.append(
-                LatentDeclaration(
-                    name,
-                    **numbers,
-                    **texts,
-                    entities=self.patterns(table, "entities"),
-                    values=tuple(self.number(v, "values") for v in values),
-                )
-            )
+            found.append(LatentDeclaration(
+                name, **numbers, **texts, entities=self.patterns(table, "entities"),
+                values=tuple(self.number(v, "values") for v in values),
+            ))  # fmt: skip
         return tuple(found)
 
     def prior(self, table, name):
@@ -426,10 +413,9 @@ def select_scenes(patterns, names, *, what="split", file=None):
         if not matches:
             raise DataError(
                 f"{what} {pattern!r:.60} matches nothing; present are "
-                f"{', '.join(list(names)[:20])}",
-                file=file,
+                f"{', '.join(list(names)[:20])}", file=file,
                 remedy="give a name, a glob such as 'drop_*', a range such as '1..80', or a list",
-            )
+            )  # fmt: skip
         chosen |= matches
     return tuple(name for name in names if name in chosen)
 

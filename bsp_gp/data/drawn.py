@@ -28,12 +28,8 @@ def _moving(positions):
 def plot_tracks(scene, axes=None, *, length="m", time="s"):
     """Draw the tracks of a scene: the path, or the place over time where one axis moves.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes, optional
-        Where to draw; by default new ones.
-    length, time : str
-        Units, as they are told.
+    Axes are those of matplotlib, by default new ones; `length` and `time` are units as they are
+    told.
     """
     axes = new_axes(axes)
     moving = _moving(scene.positions)

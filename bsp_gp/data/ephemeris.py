@@ -62,26 +62,18 @@ def load_ephemeris(
         )
     tracks = [_track(ephemeris, body, start_jd, days) for body in bodies]
     masses = [_gm(ephemeris, body) / GRAVITATIONAL_CONSTANT for body in bodies]
-    entities = [
-        Entity(body, is_static=body not in receivers, properties={"mass": mass})
-        for body, mass in zip(bodies, masses, strict=True)
-    ]
-    return Scene(
-        name,
-        days * DAY_S,
-        np.stack([position for position, _ in tracks], axis=1),
-        tuple(entities),
-        velocities=np.stack([velocity for _, velocity in tracks], axis=1),
-    )
+    entities = [Entity(body, is_static=body not in receivers, properties={"mass": mass})
+                for body, mass in zip(bodies, masses, strict=True)]  # fmt: skip
+    positions, velocities = (np.stack(each, axis=1) for each in zip(*tracks, strict=True))
+    return Scene(name, days * DAY_S, positions, tuple(entities), velocities)
 
 
 def _require_bodies(bodies, receivers):
     for argument, given, allowed in (("bodies", bodies, BODIES), ("receivers", receivers, bodies)):
         unknown = [body for body in given if body not in allowed]
         if unknown or isinstance(given, str):
-            raise DataError(
-                f"{argument} must be a sequence among {', '.join(allowed)}, got {given!r}"
-            )
+            known = ", ".join(allowed)
+            raise DataError(f"{argument} must be a sequence among {known}, got {given!r}")
 
 
 def _open():

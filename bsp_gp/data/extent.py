@@ -40,13 +40,11 @@ def is_of_the_sky(dataset):
     told = declared.get("time", declared.get("t"))
     unit = parse_unit(told)[0] if told else 1.0
     is_far = not {"length", *"xyz"} & set(declared)
-    return is_far and all(_is_dated(scene.times / unit) for scene in dataset.scenes)
-
-
-def _is_dated(times):
-    """Whether times are decimal years, or Julian dates."""
-    first, last = times[[0, -1]]
-    return any(are_within(first, last, (span,)) and last - first > least for span, least in DATED)
+    ends = [scene.times[[0, -1]] / unit for scene in dataset.scenes]
+    return is_far and all(
+        any(are_within(first, last, (span,)) and last - first > least for span, least in DATED)
+        for first, last in ends
+    )
 
 
 def are_within(first, last, ranges):

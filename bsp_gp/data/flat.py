@@ -25,18 +25,9 @@ CHANCE = 0.01
 def held_flat(dataset, spoken=()):
     """The data set with bodies at rest along axes on which they show nothing but noise.
 
-    Every body of every scene must be so. Nothing is done where rows are counted (`Evaluation`),
-    velocities are data, or the data are of the sky.
-
-    Parameters
-    ----------
-    spoken : collection of str
-        Axes of which a declared law speaks: there bodies are free.
-
-    Returns
-    -------
-    Dataset
-        With a note; the same one where there is no such axis.
+    Every body of every scene must be so; a note tells it. Nothing is done where rows are counted
+    (`Evaluation`), velocities are data, or the data are of the sky. Along the axes in `spoken`, of
+    which a declared law speaks, bodies are free.
     """
     is_plain = dataset.evaluation == Evaluation() and dataset.velocity != "measured"
     is_plain = is_plain and all(scene.first is None for scene in dataset.scenes)

@@ -2,6 +2,7 @@
 
 import math
 import os
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def fill_dataset(dataset, folder):
 def _trajectories(dataset):
     has = {
         prefix: any(getattr(scene, attribute) is not None for scene in dataset.scenes)
-        for prefix, attribute in (("v", "velocities"), ("s", "sigma"))
+        for prefix, attribute in (("", "positions"), ("v", "velocities"), ("s", "sigma"))
     }
     axes = "xyz"[: dataset.n_dims]
     is_begun = _initial(dataset)["velocity"] is not None
@@ -69,20 +70,16 @@ def _trajectories(dataset):
         row, column = np.nonzero(present)
         names = np.array([_text(name) for name in scene.names], dtype=object)
         piece = {"scene": _text(scene.name), "t": scene.times[row], "entity": names[column]}
-        blocks = [("", scene.positions), ("v", scene.velocities), ("s", scene.sigma)]
-        for prefix, block in blocks:
-            if prefix and not has[prefix]:
-                continue
-            for k, axis in enumerate(axes):
+        blocks = {"": scene.positions, "v": scene.velocities, "s": scene.sigma}
+        for prefix, block in blocks.items():
+            for k, axis in enumerate(axes if has[prefix] else ""):
                 piece[prefix + axis] = math.nan if block is None else block[row, column, k]
         if is_begun:
             piece |= _first_cells(scene, row, column, axes, piece)
         for name, values in scene.inputs.items():
             here = values[row, column]
-            parts = {name: here} if here.ndim == 1 else dict(
-                zip((f"{name}_{axis}" for axis in axes), here.T, strict=True)
-            )  # fmt: skip
-            piece |= parts
+            names_of = [name] if here.ndim == 1 else [f"{name}_{axis}" for axis in axes]
+            piece |= zip(names_of, np.atleast_2d(here.T), strict=True)
         pieces.append(pd.DataFrame(piece))
     return pd.concat(pieces, ignore_index=True)
 
@@ -103,17 +100,13 @@ def _initial(dataset):
 def _first_cells(scene, row, column, axes, piece):
     """Velocities of the first row, and their errors where they have any, for a table."""
     blank = np.full((len(row), len(axes)), np.nan)
-    first, out = scene.first, {}
+    out = {}
     for prefix, name in (("v", "velocity"), ("sv", "velocity_error")):
         values = blank.copy()
-        if first is not None:
-            values[row == 0] = getattr(first, name)[column[row == 0]]
-        for k, axis in enumerate(axes):
-            kept = piece.get(f"{prefix}{axis}")
-            shown = np.isfinite(values[:, k])
-            out[f"{prefix}{axis}"] = values[:, k] if kept is None else np.where(
-                shown, values[:, k], kept
-            )  # fmt: skip
+        if scene.first is not None:
+            values[row == 0] = getattr(scene.first, name)[column[row == 0]]
+        for key, own in zip((f"{prefix}{axis}" for axis in axes), values.T, strict=True):
+            out[key] = np.where(np.isfinite(own), own, piece.get(key, own))
     return out
 
 
@@ -179,7 +172,6 @@ def _property_cells(entity):
 
 
 def _declaration(dataset):
-    evaluation = dataset.evaluation
     noise = dataset.noise
     split = {side: list(getattr(dataset, side)) for side in ("train", "test")}
     tables = {
@@ -192,17 +184,11 @@ def _declaration(dataset):
         "columns": {"velocity": dataset.velocity},
         "initial": _initial(dataset),
         "split": split if dataset.train or dataset.test else {},
-        "evaluation": {
-            "initial_rows": evaluation.initial_rows,
-            "endpoint_row": evaluation.endpoint_row,
-        },
+        "evaluation": asdict(dataset.evaluation),
         "latent": {latent.name: _latent(latent) for latent in dataset.latents},
-        "provenance": {
-            key: str(value)
-            for key, value in dataset.provenance.items()
-            if not key.startswith("sha256 of ")
-        },
-    }
+        "provenance": {key: str(value) for key, value in dataset.provenance.items()
+                       if not key.startswith("sha256 of ")},
+    }  # fmt: skip
     return _without_none(tables)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from bsp_gp.data.cells import plain_cell
-from bsp_gp.data.conversion import unit_of
+from bsp_gp.data.conversion import TIME, unit_of
 from bsp_gp.data.dates import seconds_of
 from bsp_gp.data.headings import (
     GUESS,
@@ -41,7 +41,6 @@ from bsp_gp.data.table import Table
 from bsp_gp.data.untimed import COUNTED, IN_TURN, rows_as_frames, with_bodies_in_turn
 from bsp_gp.data.wide import as_recordings, groups_of, stack
 from bsp_gp.errors import DataError
-from bsp_gp.units import Unit
 
 _NAN = ["", "nan", "NaN", "NAN", "NA", "N/A", "null", ".", "...", "…", "-", "–", "--", "---"]
 _NO_NUMBER = [*_NAN, "X", "x", "?", "*", "na", "n/a", "n.a.", "#N/A", "NULL", "None", "none"]
@@ -49,19 +48,14 @@ _NO_NUMBER = [*_NAN, "X", "x", "?", "*", "na", "n/a", "n.a.", "#N/A", "NULL", "N
 _HEAD_LINES, _MOST_LINES = 60, 10_000
 """Lines from which a layout is guessed; and those that are looked at where columns without names
 are told."""
-_TIME = Unit.of(s=1)
 _BY_NUMBER = ", or say which column is which by its number: --columns t=1 x=2"
 
 
 def read_table(path, *, rename=None, as_text=False):
     """Read a delimited file, with a header or with numbers alone.
 
-    Parameters
-    ----------
-    rename : mapping of str to str, optional
-        Our name of a column -> its name in the file.
-    as_text : bool
-        Leave every cell a text (for ``entities.csv``, whose columns are the user's own).
+    `rename` maps our name of a column to its name in the file. `as_text` leaves every cell a text
+    (for ``entities.csv``, whose columns are the user's own).
 
     Raises
     ------
@@ -224,7 +218,7 @@ def _with_rising_clock(frame, found):
     is_settled = any(found[k].is_renamed or not is_text[k] or _rise(frame[k]) > 0 for k in own)
     if is_settled or not named or {"entity", "scene"} & {h.name for h in found}:
         return found
-    able = {k for k in free if is_text[k] or unit_of(found[k].unit) == _TIME} | {*named} - {*own}
+    able = {k for k in free if is_text[k] or unit_of(found[k].unit) == TIME} | {*named} - {*own}
     rises = {k: rise for k in able if (rise := _rise(frame[k])) >= (1 if own else 0)}
     if not rises:
         return found
@@ -275,7 +269,7 @@ def _without_untracked(frame, found):
     if "entity" not in frame or not any(re.fullmatch(r"(?i)track[\s_]?id", t) for t in theirs):
         return frame, ()
     is_none = frame["entity"].astype(str).str.strip().str.lower().isin(("none", ""))
-    if not is_none.any() or is_none.all():
+    if is_none.nunique() < 2:
         return frame, ()
     note = f"{theirs[0]} is None in {int(is_none.sum())} row(s), which are of no track: left out"
     return frame[~is_none], (note,)
@@ -315,13 +309,10 @@ def _without_dates(frame, names):
     read = seconds_of(cells)
     if read is None:
         return frame, [], False
-    seconds, start = read
-    n = len(frame)
-    new = {k: pd.Series(seconds[j * n : (j + 1) * n], frame.index) for j, k in enumerate(dated)}
-    out = frame.copy()
-    for key, values in new.items():
-        out[key] = values
-    return out, [f"times are in seconds since {start}"], True
+    frame = frame.copy()
+    for key, values in zip(dated, np.split(read[0], len(dated)), strict=True):
+        frame[key] = values
+    return frame, [f"times are in seconds since {read[1]}"], True
 
 
 def _require_even_rows(source, layout, head):
@@ -360,11 +351,9 @@ def _without_idle_ends(source, layout, head):
     if mark is None or _adds_up(source, layout, head):
         return source
     lines = source.head(None)
-    idle = [
-        k for k in range(layout.data_line, len(lines))
-        if not lines[k].rpartition(mark)[2].strip()
-    ]  # fmt: skip
-    idle = [k for k in idle if len(split_line(lines[k], mark)) == n_cells + 1]
+    idle = [k for k in range(layout.data_line, len(lines))
+            if not lines[k].rpartition(mark)[2].strip()
+            and len(split_line(lines[k], mark)) == n_cells + 1]  # fmt: skip
     if not idle:
         return source
     for k in idle:
@@ -424,22 +413,15 @@ def _read_frame(source, layout, as_text):
     numeric = [k for k in keys if not as_text and names[k] in number_columns(names)]
     text = [k for k in keys if as_text or names[k] in TEXT_COLUMNS]
     options = {
-        "sep": r"\s+" if layout.delimiter is None else layout.delimiter,
-        "names": list(keys),
-        "header": None,
-        "skiprows": layout.data_line,
-        "skip_blank_lines": False,
-        "skipinitialspace": True,
-        "keep_default_na": False,
-        "na_values": {
+        "sep": r"\s+" if layout.delimiter is None else layout.delimiter, "names": list(keys),
+        "header": None, "skiprows": layout.data_line, "skip_blank_lines": False,
+        "skipinitialspace": True, "keep_default_na": False, "na_values": {
             key: [""] if key in text else _NO_NUMBER if key in numeric else _NAN for key in keys
         },
-        "decimal": layout.decimal,
-        "encoding": source.encoding,
+        "decimal": layout.decimal, "encoding": source.encoding, "low_memory": False,
         "compression": None,  # it was read as text so far, whatever its name ends in
-        "low_memory": False,
-    }
-    if _pandas_version() < (3, 1):
+    }  # fmt: skip
+    if tuple(map(int, re.findall(r"\d+", pd.__version__)[:2])) < (3, 1):
         options["float_precision"] = "round_trip"  # later versions are exact without being asked
     frame = _parse(source, options, numeric, text, names)
     for key in set(keys) - {*text} if layout.decimal == "," else ():
@@ -454,10 +436,6 @@ def _with_points(cells):
         return cells
     numbers = pd.to_numeric(cells.str.replace(",", "."), errors="coerce")
     return cells if (numbers.isna() & cells.notna()).any() else numbers.astype(float)
-
-
-def _pandas_version():
-    return tuple(int(part) for part in re.findall(r"\d+", pd.__version__)[:2])
 
 
 def _parse(source, options, numeric, text, names):

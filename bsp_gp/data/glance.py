@@ -8,17 +8,10 @@ N_ROWS, N_LINES, N_COLUMNS = 5, 40, 60
 
 
 def columns_of(path, rename=None):
-    """Columns of a table, at most 60.
+    """Columns of a table, at most 60, a list of dict.
 
-    Parameters
-    ----------
-    rename : mapping of str to str, optional
-        Our name of a column -> its name in the file.
-
-    Returns
-    -------
-    list of dict
-        ``theirs``, ``ours`` (empty if it means nothing to us), ``unit``, ``rows``.
+    Of each ``theirs``, ``ours`` (empty if it means nothing to us), ``unit``, and ``rows``. `rename`
+    maps our name of a column to its name in the file.
     """
     source = open_source(path)
     head = source.without_brackets(source.head(N_LINES)).head(N_LINES)

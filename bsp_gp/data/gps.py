@@ -9,6 +9,9 @@ import re
 from datetime import UTC, datetime
 from xml.etree import ElementTree
 
+import numpy as np
+
+from bsp_gp.data.dates import DAY, going_on
 from bsp_gp.errors import DataError
 
 ENDINGS = (".gpx", ".tcx", ".kml")
@@ -16,7 +19,6 @@ OF_GLIDERS = ".igc"
 NMEA = ("$GP", "$GN", "$GL", "$GA", "$P")
 """How sentences of receivers begin, and those of devices among them ("$P")."""
 _HEADER = ("run", "t (s)", "latitude", "longitude", "altitude (m)")
-DAY = 86_400.0
 _REMEDY = "export the track with times, as GPX or as a table with times, latitudes and longitudes"
 _SENTENCE = re.compile(r"\$G[PNLA](RMC|GGA|GLL),([^*\n]*)")
 _FIELDS = {"RMC": (0, 2, None), "GGA": (0, 1, 8), "GLL": (4, 0, None)}
@@ -57,23 +59,23 @@ def of_nmea(text, path):
 
     Times of the day go on over midnight; sentences of one instant say one place.
     """
-    fixes, day, last = {}, 0.0, None
+    clocks, places = [], []
     for kind, body in _SENTENCE.findall(text):
         cells = body.split(",")
         at, place, above = _FIELDS[kind]
         if len(cells) <= max(at, place + 3, above or 0) or not (cells[at] and cells[place]):
             continue
         clock = float(cells[at])
-        seconds = clock // 10_000 * 3600 + clock % 10_000 // 100 * 60 + clock % 100
-        day += DAY if last is not None and seconds < last - DAY / 2 else 0.0
-        last = seconds
+        clocks.append(clock // 10_000 * 3600 + clock % 10_000 // 100 * 60 + clock % 100)
         lat, north, lon, east = cells[place : place + 4]
         height = cells[above] if above else ""
-        known = fixes.get(day + seconds)
-        if known is None or height:
-            fixes[day + seconds] = (_degrees(lat, north == "S"), _degrees(lon, east == "W"), height)
-    if not fixes:
+        places.append((_degrees(lat, north == "S"), _degrees(lon, east == "W"), height))
+    if not places:
         raise DataError("no sentence has a time and a place", file=path, remedy=_REMEDY)
+    fixes = {}
+    for seconds, place in zip(going_on(np.array(clocks), DAY).tolist(), places, strict=True):
+        if seconds not in fixes or place[-1]:
+            fixes[seconds] = place
     return _table([("1", f"{t:.9g}", *fix) for t, fix in fixes.items()])
 
 
@@ -87,15 +89,13 @@ def of_igc(text, path):
         raise DataError("no record B says a time and a place", file=path, remedy=_REMEDY)
     whole = [fix for fix in found if fix[9] == "A" and int(fix[11])]
     has_heights = 2 * len(whole) > len(found)
-    fixes, day, last = {}, 0.0, 0
-    for fix in whole if has_heights else found:
-        seconds = 3600 * int(fix[0]) + 60 * int(fix[1]) + int(fix[2])
-        day += DAY if seconds < last - DAY / 2 else 0.0
-        last = seconds
+    fixes, used = {}, whole if has_heights else found
+    clocks = [3600 * int(fix[0]) + 60 * int(fix[1]) + int(fix[2]) for fix in used]
+    for seconds, fix in zip(going_on(np.array(clocks), DAY).tolist(), used, strict=True):
         lat, lon = (int(fix[k]) + int(fix[k + 1]) / 60_000 for k in (3, 6))
         lat, lon = lat * (-1) ** (fix[5] == "S"), lon * (-1) ** (fix[8] == "W")
         height = fix[11 if has_heights else 10]
-        fixes.setdefault(day + seconds, (f"{lat:.7f}", f"{lon:.7f}", str(int(height))))
+        fixes.setdefault(seconds, (f"{lat:.7f}", f"{lon:.7f}", str(int(height))))
     out, notes = _table([("1", f"{t:.9g}", *fix) for t, fix in fixes.items()])
     if not has_heights:
         return out, (*notes, "heights are those of the pressure: few fixes have one of satellites")

@@ -35,15 +35,7 @@ class Pull:
 
 
 def pull_in(shown, headings):
-    """Gravity in what three axes of a sensor show; None where it is not in it.
-
-    Parameters
-    ----------
-    shown : ndarray
-        (n, 3), m/s^2.
-    headings : sequence of str
-        Of the axes.
-    """
+    """Gravity in what three axes of a sensor show, (n, 3) in m/s^2; None where it is not in it."""
     if shown.shape[1:] != (3,) or any(is_without(text) for text in headings):
         return None
     shown = shown[np.isfinite(shown).all(axis=1)]

@@ -10,7 +10,7 @@ import unicodedata
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from bsp_gp.data.conversion import is_unit, unit_of
+from bsp_gp.data.conversion import LENGTH, TIME, is_unit, unit_of
 from bsp_gp.data.polar import POLAR_ALIASES, POLAR_COLUMNS, is_polar
 from bsp_gp.data.polar_words import (
     date_unit,
@@ -26,7 +26,7 @@ from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.data.sky import HOURS, SKY_COLUMNS, SKY_NUMBERS, is_sky
 from bsp_gp.data.words import apart, folded, plain_signs, words_for
 from bsp_gp.errors import in_python
-from bsp_gp.units import ACCELERATION, ANGLES, GRAVITIES, OF_THE_SKY, Unit
+from bsp_gp.units import ACCELERATION, ANGLES, GRAVITIES, OF_THE_SKY
 
 NUMBER_COLUMNS = (
     "t", "frame", "x", "y", "z", "vx", "vy", "vz", "sx", "sy", "sz", "svx", "svy", "svz",
@@ -91,16 +91,12 @@ _AXIS_WORDS = words_for("axis")
 _MAP_WORDS = words_for("north")
 _FROM_WHERE = re.compile(r"\s+(?:of|from)\s+(?:the\s+)?(?:launch|start|origin|home)\b.*", re.I)
 """``Position East of launch``."""
-_UPRIGHT_WORDS = words_for("upright")
 RADIAL_NAMES = words_for("radial")
 INSTRUMENTS = words_for("instrument")
 _SPEED_WORDS = words_for("speed") | RADIAL_NAMES
 _ACCELERATION_WORDS = words_for("acceleration")
 _ERROR_WORDS = words_for("error")
 _DOUBT_WORDS = _ERROR_WORDS | words_for("doubt")
-_WHOSE_SPEED_WORDS = words_for("whose_speed")
-_OTHER_WORDS = words_for("no_place")
-_TURN_WORDS = words_for("turn")
 _PLACES = ("x", "y", "z")
 _ON_SKY = {"ra", "dec"}
 _ERROR_MARK = (
@@ -132,17 +128,12 @@ _OFFSET = re.compile(
     r"(?:d|delta|δ|∆|rel)(ra|dec)l?(?:off|offset)?|(ra|dec)l?(?:off|offset|rel)", re.IGNORECASE
 )
 """An offset on the sky: ``DeltaR.A.``, ``dDec``, ``raoff``."""
-_ROW_WORDS = words_for("row")
-_BESIDE_WORDS = words_for("beside")
 _SHORT_BESIDE = words_for("beside_short")
-_FAR_WORDS = words_for("far")
 _PROCESSED_WORDS = words_for("processed")
 _BODY_WORDS = words_for("body")
 _OF_WORDS = words_for("of") | _BODY_WORDS
 _OF_LOGGERS = words_for("of_loggers")
-_OF_VEHICLES = words_for("vehicle")
 _COURSES = words_for("course")
-_CLOCKS = words_for("clock")
 _CLOCK_UNITS = {
     "ms": "ms", "msec": "ms", "millis": "ms", "millis()": "ms", "milliseconds": "ms",
     "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "seconds_elapsed": "s",
@@ -163,9 +154,8 @@ _GUESSES = {
 }  # fmt: skip
 """Words that may mean a column of ours where no plainer heading does; counting words may stand
 beside those of scenes, bodies and frames."""
-_LENGTH, _TIME = Unit.of(m=1), Unit.of(s=1)
 _UNIT_OF = PROPERTY_UNITS | {
-    name: {"t": _TIME, "v": _LENGTH / _TIME}.get(name[0], _LENGTH)
+    name: {"t": TIME, "v": LENGTH / TIME}.get(name[0], LENGTH)
     for name in NUMBER_COLUMNS if name != "frame"
 }  # fmt: skip
 
@@ -277,7 +267,7 @@ def is_no_place(text):
     is_short = bool(plain & _SHORT_BESIDE) and all(
         word in _SHORT_BESIDE or len(word) == 1 for word in plain
     )
-    is_named = is_short or bool((words | plain) & _BESIDE_WORDS)
+    is_named = is_short or bool((words | plain) & words_for("beside"))
     return is_named or re.search(r"[)\]}>]$", text.strip()) is not None
 
 
@@ -306,7 +296,7 @@ def is_id(text):
 
 def is_error(text):
     """Whether a heading speaks of an error, a fit or a speed, which is no place of a body."""
-    no_place = _ERROR_WORDS | _SPEED_WORDS | _ACCELERATION_WORDS | _OTHER_WORDS
+    no_place = _ERROR_WORDS | _SPEED_WORDS | _ACCELERATION_WORDS | words_for("no_place")
     return _is_dotted(text) or bool(words_of(text) & no_place)
 
 
@@ -336,14 +326,14 @@ def is_error_of(text, of):
 def is_own_speed(text):
     """Whether a heading speaks of how fast the body itself is, and of nothing else's speed."""
     words = words_of(text) - {""}
-    rest = words - _SPEED_WORDS - _WHOSE_SPEED_WORDS - _OF_WORDS
+    rest = words - _SPEED_WORDS - words_for("whose_speed") - _OF_WORDS
     is_symbol = re.fullmatch(r"v[\s_]?[xyzrt]?", text.strip().lower()) is not None
     return is_symbol or (bool(words & _SPEED_WORDS) and not rest)
 
 
 def is_count(text):
     """Whether a heading counts rows."""
-    return (words_of(text) - {""}) <= _COUNT_WORDS | _ROW_WORDS
+    return (words_of(text) - {""}) <= _COUNT_WORDS | words_for("row")
 
 
 @lru_cache(maxsize=1 << 14)  # a wide table is asked about its headings again and again
@@ -404,7 +394,7 @@ def _with_glued_places(found):
     sets = {}
     for h in found:
         match = _GLUED_PLACE.fullmatch(h.name) if h.sure == UNKNOWN and not h.ignored else None
-        if match and (not h.unit or unit_of(h.unit) == _LENGTH):
+        if match and (not h.unit or unit_of(h.unit) == LENGTH):
             word, axis = match[1] or match[4], match[2] or match[3]
             sets.setdefault(word.lower(), {})[axis.lower()] = h
     able = (own for word, own in sets.items() if len(word) > 1 or {"x", "y"} <= set(own))
@@ -415,7 +405,7 @@ def _with_glued_places(found):
 
 def _without_courses(found):
     """Of a vehicle ``track`` is where it goes, and ``pitch`` how it is turned."""
-    if not any(words_of(h.theirs) & _OF_VEHICLES for h in found):
+    if not any(words_of(h.theirs) & words_for("vehicle") for h in found):
         return found
     return [
         replace(h, name=h.stem, sure=UNKNOWN)
@@ -471,7 +461,7 @@ def _without_sensors(found):
     if not is_sensor or len(own) < sum(h.name in _PLACES for h in found):
         return found
     if not any(h.sure == UNKNOWN and _guess(h.name) in ("x", "y") and h.unit
-               and unit_of(h.unit) == _LENGTH for h in found):  # fmt: skip
+               and unit_of(h.unit) == LENGTH for h in found):  # fmt: skip
         return found
     return [replace(h, name=h.theirs, sure=UNKNOWN) if h in own else h for h in found]
 
@@ -485,11 +475,8 @@ def _of_every_run(back):
 
 def _with_clock(found):
     """The only column with a unit of time as the time, where there is no other."""
-    clocks = [
-        h
-        for h in found
-        if h.sure == UNKNOWN and not h.ignored and h.unit and unit_of(h.unit) == _TIME
-    ]
+    clocks = [h for h in found if h.sure == UNKNOWN and not h.ignored and h.unit
+              and unit_of(h.unit) == TIME]  # fmt: skip
     if len(clocks) != 1 or any(h.name in ("t", "frame") for h in found):
         return found
     return [replace(h, name="t", sure=GUESS) if h is clocks[0] else h for h in found]
@@ -502,8 +489,8 @@ def _with_far_on_sky(found):
         return found
     far = [
         h for h in found
-        if not (h.is_renamed or h.ignored) and words_of(h.stem or h.name) <= _FAR_WORDS
-        and (not h.unit or unit_of(h.unit) == _LENGTH) and h.unit not in OF_THE_SKY
+        if not (h.is_renamed or h.ignored) and words_of(h.stem or h.name) <= words_for("far")
+        and (not h.unit or unit_of(h.unit) == LENGTH) and h.unit not in OF_THE_SKY
     ]  # fmt: skip
     if len(far) != 1 or any(h.name == "distance" for h in found if h not in far):
         return found
@@ -544,7 +531,7 @@ def _read(cell, back, is_track, ignored=()):
         if text in back:
             return Heading(back[text], unit, cell, stem, LITERAL, run, is_renamed=True)
     ours, sure = _our_name(stem)
-    if ours == "t" and unit and unit_of(unit) not in (None, _TIME):
+    if ours == "t" and unit and unit_of(unit) not in (None, TIME):
         ours, sure = cell, UNKNOWN  # ``T (C)`` is a temperature
     return Heading(ours, unit, cell, cell if run else stem, sure, run)
 
@@ -570,7 +557,7 @@ def _split_unit(cell, back, is_track):
     match = _WITH_UNIT.fullmatch(cell)
     if match and match[1] and not match[1].endswith("/") and is_unit(match[2]):
         return match[1], match[2]
-    if match and match[2].lower() in _CLOCKS and match[1] not in back:
+    if match and match[2].lower() in words_for("clock") and match[1] not in back:
         return match[1], ""
     for match in filter(None, (mark.fullmatch(cell) for mark in (_AFTER_MARK, _AFTER_LAST_MARK))):
         stem = match[1].strip()
@@ -619,11 +606,13 @@ def _our_name(name):
 @lru_cache(maxsize=1 << 12)
 def _guess(name):
     """What a heading may mean by its words; None for nothing."""
-    name = _FROM_WHERE.sub("", _last_of(name))
+    if _PATH.fullmatch(name):  # ``update Time`` of ``CUSTOM.updateTime``
+        name = _CAMEL.sub(r"\1 \2", name.rpartition(".")[2])
+    name = _FROM_WHERE.sub("", name)
     words = {word for word in words_of(name) - {""} if not _INPUT.fullmatch(word)}
     if any(len(word) > 1 for word in words - _OF_LOGGERS):
         words -= _OF_LOGGERS
-    for ours, known in (("y", _UPRIGHT_WORDS | _MAP_WORDS), ("x", {"east"})):
+    for ours, known in (("y", words_for("upright") | _MAP_WORDS), ("x", {"east"})):
         if words & known and words - known <= _PLACE_WORDS:
             return ours
     for ours, known in _GUESSES.items():
@@ -631,11 +620,6 @@ def _guess(name):
         if counted and counted <= known:
             return ours
     return None
-
-
-def _last_of(name):
-    """What a path of names ends with: ``update Time`` of ``CUSTOM.updateTime``."""
-    return _CAMEL.sub(r"\1 \2", name.rpartition(".")[2]) if _PATH.fullmatch(name) else name
 
 
 def _turned(found):
@@ -828,12 +812,8 @@ def _with_body_of_run(found):
 def bodies_beside(table_columns, units):
     """Bodies whose places columns that are not used may be, each with its columns.
 
-    Parameters
-    ----------
-    table_columns : mapping of str to str
-        Name of a column that means nothing to us -> what the file calls it.
-    units : mapping of str to str
-        Of them.
+    `table_columns` maps names of columns that mean nothing to us to what the file calls them,
+    `units` to theirs.
 
     Returns
     -------
@@ -860,7 +840,7 @@ def _with_counted_places(found):
     ``x1, x2, x3`` are as often the coordinates of one body, and are asked for.
     """
     names = numbered_places([h.name for h in found if h.sure == UNKNOWN and not h.ignored])
-    own = [h for h in found if h.name in names and (not h.unit or unit_of(h.unit) == _LENGTH)]
+    own = [h for h in found if h.name in names and (not h.unit or unit_of(h.unit) == LENGTH)]
     stems = {folded(_COUNTED.fullmatch(h.name.strip())[1]) for h in own}
     is_asked = stems == {"x"} and len(own) == 3
     if has_place(found) or len(own) < 2 or len(stems) > 1 or is_asked:
@@ -922,7 +902,7 @@ def _with_only_angle(found):
     """The only column beside the clock, if its unit is one of angles: ``roll (deg)``."""
     bare = [h for h in found if h.sure == UNKNOWN and not (h.unit or h.ignored or h.is_renamed)
             and h.name.lower() in _BARE_ANGLES]  # fmt: skip
-    told = [h for h in found if h.unit and unit_of(h.unit) != _TIME]
+    told = [h for h in found if h.unit and unit_of(h.unit) != TIME]
     if len(bare) == 1 and not told:  # the heading is a unit, and nothing else
         return [replace(h, name="x", unit=h.name, sure=GUESS) if h is bare[0] else h for h in found]
     if len(told) != 1 or told[0].sure != UNKNOWN or not is_angle(told[0].unit):
@@ -951,7 +931,7 @@ def _of_body(heading):
     if heading.sure != UNKNOWN and not heading.is_renamed:
         return heading
     text, unit = heading.name, heading.unit
-    if not unit and (cut := re.fullmatch(r"(.+)_([^_]+)", text)) and unit_of(cut[2]) == _LENGTH:
+    if not unit and (cut := re.fullmatch(r"(.+)_([^_]+)", text)) and unit_of(cut[2]) == LENGTH:
         text, unit = cut[1], cut[2]
     text = _without_place_words(text)
     before, after = _BODY_BEFORE.fullmatch(text), _BODY_AFTER.fullmatch(text)
@@ -962,7 +942,7 @@ def _of_body(heading):
     # Beside a unit a name is none itself: `A_x [AU]` is a star's place; `A_x` is anything.
     is_apart = body.isdecimal() or (after and after[3] and not before)
     names_unit = not (unit or heading.is_renamed or is_apart) and is_unit(body)
-    is_turn = bool({*re.split(r"[\W_]+", body.lower())} & _TURN_WORDS)
+    is_turn = bool({*re.split(r"[\W_]+", body.lower())} & words_for("turn"))
     if not body or not is_length or is_error(body) or names_unit or is_turn:
         return heading
     return replace(heading, name=axis.lower(), unit=unit, body=body, sure=GUESS)

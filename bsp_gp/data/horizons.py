@@ -44,11 +44,10 @@ def plain_horizons(text, path):
     lines = [line.rstrip(", ") for line in lines]  # of a spreadsheet that has saved it again
     at = next(k for k, line in enumerate(lines) if line.strip() == BEGIN)
     end = next((k for k in range(at, len(lines)) if lines[k].strip() == END), len(lines))
-    above = lines[:at]
+    above, named = "\n".join(lines[:at]), [line for line in lines[:at] if line.strip("* ")]
     rows = [line for line in lines[at + 1 : end] if line.strip() and line.strip("* ")]
-    named = [line for line in above if line.strip("* ")]
-    name = _target("\n".join(above))
-    units = re.search(r"Output units\s*:\s*([\w-]+)", "\n".join(above))
+    name = _target(above)
+    units = re.search(r"Output units\s*:\s*([\w-]+)", above)
     length, time = _UNITS.get(units[1] if units else "", ("", ""))
     if not (rows and named):
         return text
@@ -67,19 +66,19 @@ def plain_horizons(text, path):
     if "JDTDB" in header:
         made, cells = _vectors(header, cells, length, time)
     else:
-        made, cells = _seen(header, cells, path, _range_unit("\n".join(above)))
+        unit = re.search(r"Range units\s*:\s*(\w+)", above)
+        made, cells = _seen(header, cells, path, unit[1].lower() if unit else "au")
     table = [["entity", *made], *([name, *row] for row in cells)]
-    centre = _centre("\n".join(above)) if "JDTDB" in header else _SUN * ("x (au)" in made)
+    centre = _centre(above) if "JDTDB" in header else "Sun" * ("x (au)" in made)
     if centre and centre != name:
         table += [[centre, row[0], *["0"] * (len(made) - 1)] for row in cells]
     notes = (f"places count from {centre}, which is at rest at the origin",) * bool(centre)
     if "ra" in made and len(made) > len(("t", "ra", "dec")):
-        seen_from = re.search(_CENTRE_NAME, "\n".join(above))
+        seen_from = re.search(_CENTRE_NAME, above)
         notes += (f"places are those that are seen from {seen_from[1]}",) if seen_from else ()
     return table, notes
 
 
-_SUN = "Sun"
 _CENTRE_NAME = re.compile(r"Center body name:\s*(.*?)\s*(?:\(\d+\)\s*)?(?:\{|$)", re.M)
 
 
@@ -92,12 +91,6 @@ def _target(above):
     text = line[1].strip() if line else ""
     name = re.sub(r"\s*\(.*", "", text) or text.strip("() ")
     return name or "body"
-
-
-def _range_unit(above):
-    """Unit of the distances of an observer table."""
-    found = re.search(r"Range units\s*:\s*(\w+)", above)
-    return found[1].lower() if found else ""
 
 
 def _centre(above):
@@ -117,11 +110,8 @@ def vectors_among(columns, texts):
     """How rows of a vector table without its names are said by the numbers of their columns; or "".
 
     Behind Julian days and dates in words may stand how far apart two clocks are (delta-T).
-
-    Parameters
-    ----------
-    columns, texts : mapping of int to sequence of str
-        Number of a column, from 1 -> its cells, of those of numbers and of others.
+    `columns` have the cells of columns of numbers, `texts` those of others, by their numbers from
+    1.
     """
     dates = next((k for k, own in texts.items() if all(map(_OF_DATE.fullmatch, own))), None)
     numbers = {k: [float(cell) for cell in own] for k, own in columns.items() if all(own)}
@@ -146,13 +136,8 @@ def without_header(table, declaration):
     """The units of a table that has kept Horizons' headings, or astroquery's for what it sends.
 
     Days are those of its dates; whether places are in km or au, and velocities per second or per
-    day, is told by their steps. Distances of astroquery are in au, its angles in degrees.
-
-    Parameters
-    ----------
-    table : Table
-    declaration : Declaration
-        Units that it gives are not asked for.
+    day, is told by their steps. Distances of astroquery are in au, its angles in degrees. Units
+    that are declared are not asked for.
     """
     clock, others = table.theirs.get("t", ""), {text.split(" ")[0] for text in table.present}
     is_query = clock == "datetime_jd" and {"targetname", "datetime_str"} <= others
@@ -248,13 +233,7 @@ def _vectors(names, cells, length, time):
 
 
 def _seen(names, cells, path, length):
-    """Columns of an observer table: a time, and what says a place.
-
-    Parameters
-    ----------
-    length : str
-        Unit of distances; "" for au.
-    """
+    """Columns of an observer table: a time, and what says a place; `length`, unit of distances."""
     columns = {re.sub(r"_+", "_", name): k for k, name in enumerate(names)}
     dates = [k for name, k in columns.items() if name.startswith("Date")]
     julian = [k for name, k in columns.items() if "JD" in name]
@@ -263,7 +242,7 @@ def _seen(names, cells, path, length):
     columns = {name: k + 1 for name, k in columns.items()}
     both = [k for name, k in columns.items() if name.startswith("R.A.") and name.endswith("DEC")]
     far = [columns[name] for name in ("delta",) if name in columns]
-    header = [_TIME, "ra", "dec", *[f"distance ({length or 'au'})"] * len(far)]
+    header = [_TIME, "ra", "dec", *[f"distance ({length})"] * len(far)]
     if both:
         cut = [(*_angles(row[both[0]]), *(row[k] for k in far)) for row in cells]
         return header, [[row[0], *p] for row, p in zip(cells, cut, strict=True)]
@@ -292,9 +271,8 @@ def _days(text, path):
             continue
         clock = date - datetime(date.year, date.month, date.day)
         return repr(date.toordinal() + clock / timedelta(days=1))
-    raise DataError(
-        f"no date is known in {text!r}", file=path, remedy="ask Horizons for Julian days"
-    )
+    problem = f"no date is known in {text!r}"
+    raise DataError(problem, file=path, remedy="ask Horizons for Julian days")
 
 
 def _angles(text):

@@ -48,10 +48,7 @@ _SUFFIX = "_logged"
 def logged_columns(table, taken):
     """Numbers beside the tracks that may be measured inputs, by their names in laws.
 
-    Parameters
-    ----------
-    taken : collection of str
-        Columns that mean something.
+    `taken` are columns that mean something.
 
     Returns
     -------
@@ -108,17 +105,8 @@ def _name(column, taken):
 def asked_of(dataset, taken=(), exclude=()):
     """The data set with those columns as measured inputs that do not follow from what is there.
 
-    Parameters
-    ----------
-    taken : collection of str
-        Names in laws, which mean something else.
-    exclude : collection of str
-        Columns that are not asked.
-
-    Returns
-    -------
-    Dataset
-        `Dataset.logged` has what is asked, and a note tells it.
+    `Dataset.logged` has what is asked, and a note tells it. Names in `taken` mean something else in
+    laws; columns in `exclude` are not asked.
     """
     names = [
         n for n in dataset.logged
@@ -144,10 +132,7 @@ def asked_of(dataset, taken=(), exclude=()):
 def named_of(dataset, uses):
     """The data set with those columns as measured inputs that laws name as a loop does.
 
-    Parameters
-    ----------
-    uses : collection of str
-        Names in laws. A name that is the heading itself is a constant, unless a unit is declared.
+    A name of `uses` that is the heading itself is a constant, unless a unit is declared.
     """
     return _with_inputs(dataset, {
         name: name for name, (heading, _) in dataset.logged.items()
@@ -273,13 +258,11 @@ def _follows(tracks, name, values, columns, unit):
     def beside(parts):
         return _left(values, np.concatenate([p - p.mean(axis=0) for p in parts]))
 
-    if beside([track.times[:, None] for track in tracks]) < AS_TIME:
-        return True
-    if beside([track.places for track in tracks]) < AS_PLACE:
-        return True
-    if beside([track.motion for track in tracks]) < AS_MOTION:
-        return True
-    if _are_ways(tracks, own):
+    if (
+        beside([track.times[:, None] for track in tracks]) < AS_TIME
+        or beside([track.places for track in tracks]) < AS_PLACE
+        or beside([track.motion for track in tracks]) < AS_MOTION or _are_ways(tracks, own)
+    ):  # fmt: skip
         return True
     long = [k for k, track in enumerate(tracks) if len(track.times) >= LEAST_ROWS]
     if long:

@@ -1,17 +1,29 @@
-"""Units by whatever names they are declared or written, under our names of the columns."""
+"""Units by whatever names they are declared or written, under our names of the columns.
 
+Angles may be declared in counts of an encoder, and places be shown in what a sensor writes: volts.
+"""
+
+import math
 import re
 from dataclasses import replace
 
-from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, ratio_of
+from bsp_gp.data.conversion import COLUMN_KINDS, KINDS, LENGTH, TIME, is_unit, ratio_of, unit_of
 from bsp_gp.data.headings import is_angle, is_angle_name, one_blank
 from bsp_gp.data.notes import quoted
 from bsp_gp.data.scene import CHECK
 from bsp_gp.data.table import less
+from bsp_gp.data.words import words_for
 from bsp_gp.errors import DataError, in_python
+from bsp_gp.units import ACCELERATION, ANGLES, DIMENSIONLESS, Unit
 
 _ARBITRARY, _ON_EARTH = ("au", "a.u."), ("s", "ms", "min")
 """Units of lengths, arbitrary ones beside such of times: no orbit is told in these."""
+_NUMBER = r"((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)"
+_COUNT = re.compile(rf"(?:{_NUMBER}\s*)?([^\W\d_]+|°)\s*(?:/\s*{_NUMBER})?")
+"""``0.09 deg``, ``rev/4000``, ``2 rev / 8192``."""
+_SPEED, _RATE = LENGTH / TIME, Unit.of(s=-1)
+_OWN = {_SPEED: "v", ACCELERATION: "a"}
+"""Before an axis, of what is no place and has a name of its own."""
 
 
 def with_their_names(table, declaration):
@@ -117,3 +129,83 @@ def half_said(table, units):
         f"{CHECK}no unit of {kind} is given: {kind}s stay numbers of the file, told in "
         f"'{kind}'; --units {kind}={unit} says what they are in"
     )]  # fmt: skip
+
+
+def count_of(text):
+    """What one count of such a unit is: a number and a unit of angles; None for any other unit.
+
+    >>> count_of("0.09 deg"), count_of("rev/4000")[1], count_of("deg"), count_of("0.17 um")
+    ((0.09, 'deg'), 'rad', None, None)
+    """
+    match = _COUNT.fullmatch(text.strip().lower())
+    if match is None:
+        return None
+    times, word, parts = match.groups()
+    if word in ANGLES and (times or parts):
+        size, unit = 1.0, word
+    elif word in words_for("whole_turn"):
+        size, unit = 2 * math.pi, "rad"
+    else:
+        return None
+    number = float(times or 1) / float(parts or 1) if float(parts or 1) else 0.0
+    return (number * size, unit) if number else None
+
+
+def with_counted_angles(table, declaration):
+    """The table with angles in the place of their counts, and the declaration with their unit."""
+    frame, units, notes = table.frame, dict(declaration.units), []
+    is_flat = "y" not in frame and "z" not in frame
+    for name, text in declaration.units.items():
+        count = count_of(text)
+        stands_for_x = name in ("x", "length") or (name not in frame and is_angle_name(name))
+        column = name if name == "angle" and name in frame else "x" if stands_for_x else ""
+        if count is None or column not in frame or (column == "x" and not is_flat):
+            continue
+        own = [c for c in (column, f"s{column}") if c in frame]
+        frame = frame.assign(**{c: count[0] * table.numbers(c) for c in own})
+        units[name] = count[1]
+        notes.append(f"{table.heading(column)!r} counts {text}: it is read in {count[1]}")
+    if not notes:
+        return table, declaration
+    return replace(table, frame=frame).noted(*notes), replace(declaration, units=units)
+
+
+def without_other_units(table, declaration):
+    """The table with places that the caller named and whose unit is no length as plain numbers.
+
+    Raises
+    ------
+    DataError
+        If such a place is a velocity or an acceleration.
+    """
+    if "length" in declaration.units:
+        return table
+    out = {}
+    for axis in "xyz":
+        unit = table.units.get(axis, "")
+        is_said = any(name == axis or name.endswith(f"_{axis}") for name in table.renamed)
+        if axis in table.frame and is_said and axis not in declaration.units and is_unit(unit):
+            out |= {axis: unit} if _is_other(table, axis, unit) else {}
+    if not out:
+        return table
+    theirs = [text for name, text in table.theirs.items() if name.partition(" of ")[0] in out]
+    axis, unit = next(iter(out.items()))
+    note = in_python(
+        f"{CHECK}{', '.join(map(repr, theirs))}: {unit} is no unit of length; the numbers are "
+        f"read as places that are not calibrated; --units {axis}='0.5 mm' would say what 1 {unit} "
+        "stands for"
+    )
+    return replace(table, units=less(table.units, out)).noted(note)
+
+
+def _is_other(table, axis, text):
+    """Whether a unit is none of a place, an angle or a time: a sensor shows a place in it."""
+    unit = unit_of(text)
+    if unit in _OWN:
+        heading = table.heading(axis)
+        what = "a velocity" if unit == _SPEED else "an acceleration"
+        table.fail(
+            f"{heading!r} is named as a place, and {text} is the unit of {what}", axis,
+            f'name it as that: --columns {_OWN[unit]}{axis}="{heading}"',
+        )  # fmt: skip
+    return unit not in (LENGTH, TIME, _RATE, DIMENSIONLESS)

@@ -66,21 +66,15 @@ def checked_noise(noise, n_dims):
     """One standard deviation, or one per axis, as a tuple; SettingsError if it is none."""
     values = tuple(float(v) for v in np.atleast_1d(noise))
     if len(values) not in (1, n_dims):
-        raise SettingsError(
-            f"noise must be one number or one per axis ({n_dims}), got {len(values)}"
-        )
+        problem = f"noise must be one number or one per axis ({n_dims})"
+        raise SettingsError(f"{problem}, got {len(values)}")
     if not all(math.isfinite(v) and v >= 0 for v in values):
         raise SettingsError(f"noise must be finite and not negative, got {noise}")
     return values
 
 
 def declare_noise(dataset, sigma):
-    """The data set with another declared noise.
-
-    Parameters
-    ----------
-    sigma : tuple of float, metres
-        One for all axes, or one per axis.
+    """The data set with another declared noise, m: one for all axes (a tuple), or one per axis.
 
     Raises
     ------
@@ -107,18 +101,14 @@ def estimate_noise(data):
     """Find the standard deviation of the position noise, per axis.
 
     Quoted errors come before a declared value, and that before an estimate. The estimate is for
-    white noise on a smooth motion: a k-th difference annihilates what is locally a polynomial
-    of degree k - 1 and leaves noise of variance sigma^2 * C(2k, k) on uniform times (on other
-    times the weights of the divided difference are used). The scale is robust, so contacts do
-    not matter; k runs from 2 to 8 and the first order after which the estimate no longer falls
-    significantly is taken. Rounding is not white where a track moves slowly, so positions on a
-    grid (whole pixels, few decimals) are never more accurate than its step / sqrt(12),
-    that of the larger ones where all have as many digits.
-
-    Parameters
-    ----------
-    data : Dataset or sequence of Scene
-        Only dynamic entities count; scenes and entities are pooled.
+    white noise on a smooth motion: a k-th difference annihilates what is locally a polynomial of
+    degree k - 1 and leaves noise of variance sigma^2 * C(2k, k) on uniform times (on other times
+    the weights of the divided difference are used). The scale is robust, so contacts do not matter;
+    k runs from 2 to 8 and the first order after which the estimate no longer falls significantly is
+    taken. Rounding is not white where a track moves slowly, so positions on a grid (whole pixels,
+    few decimals) are never more accurate than its step / sqrt(12), that of the larger ones where
+    all have as many digits. Of a Dataset, or of scenes, dynamic entities alone count; all are
+    pooled.
     """
     is_dataset = isinstance(data, Dataset)
     scenes = data.scenes if is_dataset else tuple(data)
@@ -131,13 +121,10 @@ def estimate_noise(data):
     span = [_span(tracks[axis]) for axis in range(n_dims)]
     quoted = [_quoted(scenes, axis) for axis in range(n_dims)]
     steps = _steps(data, tracks)
-    sigma, sources, degrees, methods, notes = [], [], [], [], []
+    sigma, degrees = [math.nan] * n_dims, [math.nan] * n_dims
+    sources, methods, notes = [], [], []
     length, unit = _length_told(data) if is_dataset else (1.0, "")
-    for axis in range(n_dims):
-        if not is_active[axis]:
-            sigma.append(math.nan)
-            degrees.append(math.nan)
-            continue
+    for axis in np.flatnonzero(is_active).tolist():
         label, n_effective = "xyz"[axis], math.inf
         if quoted[axis] is not None:
             value, source, how = quoted[axis], "quoted", "rms of the errors of its points"
@@ -147,17 +134,15 @@ def estimate_noise(data):
             own = _of_fixes(tracks[axis], steps[axis], data)
             value, order, n_effective = _from_differences(own)
             source, how = "estimated", f"differences of order {order}"
+            step = f"{steps[axis] / length:.4g}{unit}"
             if steps[axis] > value:
-                notes.append(
-                    f"{label} is rounded to steps of {steps[axis] / length:.4g}{unit}: its noise "
-                    "is taken as at least the step / sqrt(12)"
-                )
+                notes.append(f"{label} is rounded to steps of {step}: its noise is taken as at "
+                             "least the step / sqrt(12)")  # fmt: skip
             if value < steps[axis] / math.sqrt(12):
                 value, n_effective = steps[axis] / math.sqrt(12), math.inf
-                how = f"step of {steps[axis] / length:.4g}{unit} / sqrt(12)"
-        sigma.append(max(float(value), FLOOR * span[axis]))
+                how = f"step of {step} / sqrt(12)"
+        sigma[axis], degrees[axis] = max(float(value), FLOOR * span[axis]), n_effective
         sources.append(source)
-        degrees.append(n_effective)
         methods.append(f"{label}: {how}")
     inactive = tuple("xyz"[axis] for axis in range(n_dims) if not is_active[axis])
     notes += [f"nothing moves along {axis}: that axis is left out" for axis in inactive]
@@ -266,19 +251,14 @@ def _from_differences(tracks):
             correlation = math.comb(4 * order, 2 * order) / math.comb(2 * order, order) ** 2
             candidates.append((order, _robust_scale(z), len(z) / correlation))
     if not candidates:
-        raise DataError(
-            "the noise cannot be estimated: no track has three positions",
-            remedy="declare noise in dataset.toml",
-        )
-    least = math.inf
-    chosen = candidates[-1]
-    for candidate in reversed(candidates):  # the lowest order that no later one undercuts
-        _, scale, n_effective = candidate
+        raise DataError("the noise cannot be estimated: no track has three positions",
+                        remedy="declare noise in dataset.toml")  # fmt: skip
+    least, chosen = math.inf, None
+    for order, scale, n_effective in reversed(candidates):  # the lowest that no later one undercuts
         least = min(least, scale)
         if scale <= least * (1 + _TOLERANCE / math.sqrt(2 * n_effective)):
-            chosen = candidate
-    order, scale, n_effective = chosen
-    return scale, order, n_effective
+            chosen = scale, order, n_effective
+    return chosen
 
 
 def _steps(data, tracks):
@@ -308,14 +288,9 @@ def grid_steps(tracks):
 def _step_of_large(tracks, step, *, by_digits=True):
     """Step of the grid that the larger values lie on, where it is coarser by digits; else 0.0.
 
-    A value is never more accurate than its last digit, and one sigma counts for all.
-
-    Parameters
-    ----------
-    step : float
-        Of the grid of all values; 0.0 where that is finer than can be told.
-    by_digits : bool
-        Whether it must be coarser by whole digits, as it is of measured places.
+    A value is never more accurate than its last digit, and one sigma counts for all. `step` is that
+    of all values, 0.0 where it is finer than can be told. Of measured places the larger ones are
+    coarser by whole digits (`by_digits`).
     """
     values, best = np.abs(np.concatenate([np.empty(0), *(x for _, x in tracks)])), 0.0
     for part in _LARGE if len(values) else ():

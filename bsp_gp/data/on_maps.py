@@ -14,11 +14,7 @@ from bsp_gp.data.table import GAP, less
 from bsp_gp.data.words import words_for
 from bsp_gp.units import parse_unit
 
-_LATITUDE = words_for("latitude")
-_LONGITUDE = words_for("longitude")
-_HEIGHT = words_for("height_on_maps")
 _WAYS = words_for("way")
-_WITH = words_for("with_latitude")
 EQUATOR, FLATTENING = 6_378_137.0, 1 / 298.257223563
 """Radius of the equator, m, and flattening of the ellipsoid of WGS 84."""
 
@@ -35,10 +31,11 @@ def from_maps(table, declaration):
     DataError
         For a latitude beyond the poles.
     """
-    latitude, longitude = _of(table, _LATITUDE), _of(table, _LONGITUDE)
+    latitude, longitude = _of(table, words_for("latitude")), _of(table, words_for("longitude"))
     if not (latitude and longitude) or is_sky(table.frame):
         return table
-    if _is_way_gone(table, declaration):  # of the same motion, and it says less
+    way = plain_words(table.theirs.get("x", "")) & _WAYS  # of the same motion, and it says less
+    if way and "x" in table and "x" not in declaration.columns:
         table = table.unread(["x"])
     lat, lon = table.numbers(latitude), table.numbers(longitude)
     is_lost = (lat == 0) & (lon == 0)
@@ -56,7 +53,7 @@ def from_maps(table, declaration):
     length = declaration.units.get("length")
     scale = parse_unit(length)[0] if length else 1.0
     x, y = (way / scale for way in _in_plane(np.radians(lat), np.radians(lon)))
-    height = "y" if table.up == "y" else _of(table, _HEIGHT)
+    height = "y" if table.up == "y" else _of(table, words_for("height_on_maps"))
     names = {name: table.heading(name) for name in (latitude, longitude)}
     gone = (*names, height) if height else (*names,)
     places = {"x": x, "y": y} | ({"z": table.numbers(height)} if height else {})
@@ -94,12 +91,6 @@ def _without_guesses(notes, axes):
     ]
 
 
-def _is_way_gone(table, declaration):
-    """Whether the place is how far something went, by its words alone."""
-    own = plain_words(table.theirs.get("x", ""))
-    return "x" in table.frame and "x" not in declaration.columns and bool(own & _WAYS)
-
-
 def _of(table, words):
     """The column that is called so; "" where there is none.
 
@@ -109,7 +100,7 @@ def _of(table, words):
     said = {name: name for name in map(str, table.frame.columns) if name in table.renamed}
     for name, heading in {**table.unused, **said}.items():
         own = plain_words(re.sub(r"^.*\w{3}\.(?=\w{3})", "", heading))  # a path of names
-        if name in table.frame and own & words and own <= words | _WITH:
+        if name in table.frame and own & words and own <= words | words_for("with_latitude"):
             found.append((not own & {"gps", "gnss"}, -table.frame[name].nunique(), name))
     return min(found)[2] if found else ""
 

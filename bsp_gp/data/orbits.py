@@ -54,7 +54,8 @@ def of_sp3(text, path):
 def of_message(text, path):
     """A table of the bodies of an orbit ephemeris message of the CCSDS."""
     about, first, rows = {}, None, []
-    for name, value, date, numbers in filter(None, map(_parts, text.splitlines())):
+    for line in filter(None, map(_MESSAGE.fullmatch, text.splitlines())):
+        name, value, date, numbers = line.groups()
         if name:
             about[name] = value
             continue
@@ -64,11 +65,6 @@ def of_message(text, path):
         place = [float(number) for number in numbers.split()[:3]]
         rows.append((about["OBJECT_NAME"], (epoch - first) / timedelta(seconds=1), place))
     return _table(rows, about["CENTER_NAME"].title(), "km", about["REF_FRAME"])
-
-
-def _parts(line):
-    found = _MESSAGE.fullmatch(line)
-    return found and found.groups()
 
 
 def of_stk(text, path):

@@ -5,9 +5,6 @@ import re
 from bsp_gp.data.words import folded, words_for
 from bsp_gp.units import OF_THE_SKY
 
-_FAR = words_for("separation")
-_ANGLE = words_for("sky_angle")
-_POSITION_ANGLE = words_for("position_angle")
 _ARCSEC = ('"', "″", "''", "”", "arcsecs", "arcseconds")
 _FILLER = words_for("filler")
 _ERROR = words_for("sky_error")
@@ -36,17 +33,17 @@ def _is_of(text, known):
 
 def is_far(text):
     """Whether a heading speaks of a distance from where an angle is measured."""
-    return _is_of(text, _FAR)
+    return _is_of(text, words_for("separation"))
 
 
 def is_angle_word(text):
     """Whether all words of a heading are those of an angle."""
-    return bool(plain_words(text)) and plain_words(text) <= _ANGLE | _FILLER
+    return bool(plain_words(text)) and plain_words(text) <= words_for("sky_angle") | _FILLER
 
 
 def is_position_angle(text):
     """Whether a heading names an angle that is counted from north through east."""
-    return bool(plain_words(text) & _POSITION_ANGLE)
+    return bool(plain_words(text) & words_for("position_angle"))
 
 
 def sky_unit(text):

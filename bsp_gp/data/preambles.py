@@ -15,18 +15,16 @@ orbits of satellites (`bsp_gp.data.orbits`), observations of the Minor Planet Ce
 import csv
 import math
 import re
+from collections import Counter
+from itertools import takewhile
 
 from bsp_gp.data.gps import NMEA, of_nmea
-from bsp_gp.data.header_lines import tabbed
+from bsp_gp.data.header_lines import split_line, tabbed
 from bsp_gp.data.horizons import plain_horizons
 from bsp_gp.data.minor_planets import OF_OBSERVATIONS, of_observations
 from bsp_gp.data.notes import listed
 from bsp_gp.data.orbits import OF_ELEMENTS, OF_SP3, elements, of_message, of_miriade, of_sp3, of_stk
 from bsp_gp.errors import DataError
-
-
-def _cells(line, delimiter):
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
 
 
 def _long(rows, time, owners, unit, path):
@@ -50,25 +48,25 @@ def _long(rows, time, owners, unit, path):
 def _trc(text, path):
     lines = text.splitlines()
     about = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
-    names = _cells(lines[3], "\t")
+    names = split_line(lines[3], "\t")
     owners = [(k, name) for k, name in enumerate(names) if name and k > 1]
-    rows = [_cells(line, "\t") for line in lines[5:] if line.strip()]
+    rows = [split_line(line, "\t") for line in lines[5:] if line.strip()]
     return _long(rows, lambda row: row[1], owners, about["Units"].strip(), path)
 
 
 def _motive(text, path):
     lines = text.splitlines()
-    about = _cells(lines[0], ",")
+    about = split_line(lines[0], ",")
     unit = about[about.index("Length Units") + 1].lower() if "Length Units" in about else ""
     start = next(k for k, line in enumerate(lines) if line.startswith("Frame,Time"))
-    above = [_cells(line, ",") for line in lines[1:start]]
+    above = [split_line(line, ",") for line in lines[1:start]]
     kinds = next(row for row in above if "Position" in row)
     named = next(row for row in above if "Name" in row)
     owners = [
-        (k, named[k]) for k, axis in enumerate(_cells(lines[start], ","))
+        (k, named[k]) for k, axis in enumerate(split_line(lines[start], ","))
         if axis == "X" and kinds[k] == "Position"
     ]  # fmt: skip
-    rows = [_cells(line, ",") for line in lines[start + 1 :] if line.strip()]
+    rows = [split_line(line, ",") for line in lines[start + 1 :] if line.strip()]
     return _long(rows, lambda row: row[1], owners, unit, path)
 
 
@@ -77,7 +75,8 @@ def _tracking_tools(text, path):
 
     What is told apart is called by the names, which are numbers where nobody gave any.
     """
-    rows = [cells for line in text.splitlines() if (cells := _cells(line, ","))[:1] == ["frame"]]
+    rows = (split_line(line, ",") for line in text.splitlines())
+    rows = [row for row in rows if row[:1] == ("frame",)]
     out = [["entity", "t (s)", *(f"{axis} (m)" for axis in "xyz")]]
     for row in rows:
         bodies, markers = int(row[3]), row[4:]
@@ -91,13 +90,10 @@ def _tracking_tools(text, path):
 def _vicon(text, path):
     lines = text.splitlines()
     rate = float(lines[1].split(",")[0])
-    owners = [(k, name.split(":")[-1]) for k, name in enumerate(_cells(lines[2], ",")) if name]
-    unit = next((cell for cell in _cells(lines[4], ",") if cell), "")
-    rows = []
-    for line in lines[5:]:  # other sections come after a blank line
-        if not line.strip(" ,"):
-            break
-        rows.append(_cells(line, ","))
+    owners = [(k, name.split(":")[-1]) for k, name in enumerate(split_line(lines[2], ",")) if name]
+    unit = next((cell for cell in split_line(lines[4], ",") if cell), "")
+    # Other sections come after a blank line.
+    rows = [split_line(line, ",") for line in takewhile(lambda s: s.strip(" ,"), lines[5:])]
     return _long(rows, lambda row: f"{(float(row[0]) - 1) / rate:.9g}", owners, unit, path)
 
 
@@ -108,13 +104,13 @@ def _qualisys(text, path):
         blank = next(k for k, line in enumerate(lines) if not line.strip())
         return "\n".join([*lines[blank + 1 :], ""])
     about = dict(cells for line in lines[:start] if len(cells := line.split("\t")[:2]) == 2)
-    names = [name for name in _cells(lines[start], "\t")[1:] if name]
-    rows = [_cells(line, "\t") for line in lines[start + 1 :] if line.strip(" ")]
+    names = [name for name in split_line(lines[start], "\t")[1:] if name]
+    rows = [split_line(line, "\t") for line in lines[start + 1 :] if line.strip(" ")]
     first = next(
         k for k, row in enumerate(rows) if any(row) and all(_is_number(c or "0") for c in row)
     )
     # Above them are the headings, or what else is said of every marker.
-    header = rows[first - 1] if first and len(rows[first - 1]) >= 3 * len(names) else []
+    header = rows[first - 1] if first and len(rows[first - 1]) >= 3 * len(names) else ()
     rows = rows[first:]
     while header and not header[-1]:  # rows end with a tab
         header = header[:-1]
@@ -123,19 +119,15 @@ def _qualisys(text, path):
     at = header.index("Time") if "Time" in header else None
     rows = [[f"{k / rate:.9g}" if at is None else row[at], *row] for k, row in enumerate(rows)]
     owners = [(1 + before + 3 * k, name) for k, name in enumerate(names)]
-    lost = {}
+    lost = Counter()
     for row in rows:  # what no camera sees is written as the origin, on which no marker is exactly
         for start, name in owners:
-            if all(_is_zero(cell) for cell in row[start : start + 3]):
+            if all(_is_number(cell) and float(cell) == 0 for cell in row[start : start + 3]):
                 row[start : start + 3] = ["", "", ""]
-                lost[name] = lost.get(name, 0) + 1
+                lost[name] += 1
     told = ", ".join(f"{name} ({count})" for name, count in lost.items())
     note = f"rows in which a marker is at 0, 0, 0, as QTM writes what it has lost, are gaps: {told}"
     return _long(rows, lambda row: row[0], owners, "mm", path), (note,) * bool(lost)
-
-
-def _is_zero(cell):
-    return _is_number(cell) and float(cell) == 0
 
 
 def _is_number(text):
@@ -144,11 +136,9 @@ def _is_number(text):
 
 def _campbell(text, path):
     lines = text.splitlines()
-    names, units = (_cells(line, ",") for line in lines[1:3])
-    named = [
-        name if unit in ("", "TS", "RN") else f"{name} ({unit})"
-        for name, unit in zip(names, units, strict=True)
-    ]
+    names, units = (split_line(line, ",") for line in lines[1:3])
+    named = [name if unit in ("", "TS", "RN") else f"{name} ({unit})"
+             for name, unit in zip(names, units, strict=True)]  # fmt: skip
     return "\n".join([",".join(f'"{name}"' for name in named), *lines[4:]]) + "\n"
 
 
@@ -167,7 +157,7 @@ def _labview(text, path):
         lines = [line for line in body.splitlines() if line.strip()]
         end = next((k for k, line in enumerate(lines) if line.startswith("Channels")), len(lines))
         lines, head = lines[:end], "\n".join(lines[end:])
-        names, *rows = (_cells(line, delimiter) for line in lines)
+        names, *rows = (split_line(line, delimiter) for line in lines)
         count = int(own.get("Channels", "1").split(delimiter)[0])
         at = [1 + (2 if kind == "Multi" else 1) * k for k in range(count)]
         if not out:
@@ -180,8 +170,7 @@ def _labview(text, path):
             time = f"{first + k * step:.9g}" if kind == "No" or not row[0] else row[0]
             cells = [row[a] if a < len(row) else "" for a in at]
             out.append([str(number), *(cell.replace(",", ".") for cell in (time, *cells))])
-    skipped = 1 if len(bodies) == 1 else 0
-    return [row[skipped:] for row in out]
+    return [row[1:] for row in out] if len(bodies) == 1 else out
 
 
 _LVM_END = "***End_of_Header***"

@@ -71,12 +71,7 @@ def _read(name, text):
 
 
 def with_properties(dataset, said):
-    """The data set with properties that were said beside it, in place of those it has.
-
-    Parameters
-    ----------
-    said : mapping
-        See `read_properties`.
+    """The data set with properties said beside it (`read_properties`), in place of its own.
 
     Raises
     ------

@@ -18,10 +18,8 @@ WITHIN = ("mass", "charge")
 def roster_within(table, units):
     """The bodies of a table of tracks that says itself what their masses are.
 
-    Parameters
-    ----------
-    units : mapping of str to str
-        That are declared; a column with a unit under its own name is an input of laws.
+    `units` are those that are declared; a column with a unit under its own name is an input of
+    laws.
 
     Returns
     -------
@@ -37,7 +35,12 @@ def roster_within(table, units):
     """
     for name in (name for name in WITHIN if name not in table):
         able = [column for column in table.unused if _may_be(table, column, name, units)]
-        table = _renamed(table, able[0], name) if len(able) == 1 else table
+        if len(able) == 1:
+            theirs = table.unused[able[0]]
+            table = table.called({able[0]: name}).noted(in_python(
+                f"{theirs!r} is taken for the {name} of the bodies; if it is not that: --columns "
+                f"{quoted(theirs)}=ignore"
+            ))  # fmt: skip
     found = []
     for column in (name for name in WITHIN if name in table and name in {*units, *table.units}):
         moved = _moved(table, column)  # without a unit, of trackpy, a mass is a brightness
@@ -67,15 +70,6 @@ def _may_be(table, column, name, units):
         column in table and column not in units and (unit or name in units)
         and property_of_words(column, unit) == name and not _moved(table, column)
     )  # fmt: skip
-
-
-def _renamed(table, column, name):
-    theirs = table.unused[column]
-    note = in_python(
-        f"{theirs!r} is taken for the {name} of the bodies; if it is not that: --columns "
-        f"{quoted(theirs)}=ignore"
-    )
-    return table.called({column: name}).noted(note)
 
 
 def _moved(table, column):

@@ -11,14 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from bsp_gp.data.clock import slope_on_clock
-from bsp_gp.data.conversion import is_unit, size_of, unit_of
-from bsp_gp.data.headings import (
-    is_acceleration,
-    is_doubt,
-    is_own_speed,
-    is_rate,
-    words_of,
-)
+from bsp_gp.data.conversion import LENGTH, TIME, is_unit, size_of, unit_of
+from bsp_gp.data.headings import is_acceleration, is_doubt, is_own_speed, is_rate, words_of
 from bsp_gp.data.notes import quoted
 from bsp_gp.data.scene import CHECK, SUMS
 from bsp_gp.data.sight import along_sight, error_beside, sighted
@@ -28,7 +22,7 @@ from bsp_gp.data.words import apart, words_for
 from bsp_gp.errors import in_python
 from bsp_gp.units import ACCELERATION, GRAVITIES, Unit, parse_unit
 
-_LENGTH, _SPEED, _RATE = Unit.of(m=1), Unit.of(m=1, s=-1), Unit.of(s=-1)
+_SPEED, _RATE = LENGTH / TIME, Unit.of(s=-1)
 _OF_TURNS = re.compile(r"rad|deg|°|rpm|[^\W\d]+/(?:min|мин)")
 """A rate is one of turns in these units; another may be anything."""
 _WHOLE = words_for("whole")
@@ -38,7 +32,6 @@ _SENSORS = {
     "": frozenset("gravity magnetometer magnetic".split()),
 }
 """Unit of what the x, y and z of a telephone's sensor are, and words by which it calls the file."""
-_OF_SENSORS = words_for("of_sensors")
 _OF_PHONES = "seconds_elapsed"
 """A column that only loggers of telephones write."""
 _ON_MAPS = frozenset("lat latitude lon long longitude".split())
@@ -92,10 +85,7 @@ def from_rates(table, declaration):
 def _by_its_file(table, declaration):
     """The table with x, y, z without a unit as what a sensor shows, where the file is called so.
 
-    Raises
-    ------
-    DataError
-        If the sensor says nothing of a motion.
+    DataError if the sensor says nothing of a motion.
     """
     name = re.sub(r"([a-z])([A-Z])", r"\1 \2", Path(table.file or "").stem)
     unit = _sensor_called(name, is_of_phone=_OF_PHONES in table.present)
@@ -133,7 +123,7 @@ def _sensor_called(name, is_of_phone):
     What the logger of a telephone has written may be called more than that: the ride, the project.
     """
     words = re.findall(r"[a-z]+", name.lower())
-    words = [word for word in words if word not in _OF_SENSORS]
+    words = [word for word in words if word not in words_for("of_sensors")]
     if is_of_phone:
         sensors = frozenset().union(*_SENSORS.values())
         words = [word for word in words if word in sensors]
@@ -218,8 +208,8 @@ def _misnamed(table, declaration):
     if "length" in declaration.units or ({*PLACES} - {*"xyz"}) & {*table.columns}:
         return {}
     units = _units_of(table, declaration, table.axes)
-    same = {unit_of(unit) if _is_rate(unit) else None for unit in units.values()}
-    return units if len(same) == 1 and None not in same else {}
+    is_sensed = all(_is(unit, ACCELERATION) or _is_turn("", unit) for unit in units.values())
+    return units if is_sensed and len(set(map(unit_of, units.values()))) == 1 else {}
 
 
 def _units_of(table, declaration, columns):
@@ -229,12 +219,7 @@ def _units_of(table, declaration, columns):
 
 def _of_sensor(table, declaration, is_kind):
     """Columns x, y, z of a sensor of one kind, by their axes; {} of others."""
-    units = _misnamed(table, declaration)
-    return {axis: axis for axis, unit in units.items() if is_kind(unit)}
-
-
-def _is_rate(unit):
-    return _is(unit, ACCELERATION) or _is_turn("", unit)
+    return {axis: axis for axis, unit in _misnamed(table, declaration).items() if is_kind(unit)}
 
 
 def _velocities(table, declaration):
@@ -243,13 +228,12 @@ def _velocities(table, declaration):
     known = {axis: f"v{axis}" for axis in "xyz" if f"v{axis}" in columns}
     if known:  # along one axis it does not matter which it is
         return {"x": known["z"]} if list(known) == ["z"] else known
-    turned = _of_sensor(table, declaration, lambda unit: _is_turn("", unit))
-    if turned:
+    if turned := _of_sensor(table, declaration, lambda unit: _is_turn("", unit)):
         return _moved(table, turned)
     units = _units_of(table, declaration, columns)
     theirs = {name: table.heading(name) for name in columns}
     others = [n for n in table.unused if n in columns and not is_own_speed(theirs[n])]
-    if any(_is(units[n], _LENGTH) or _words(theirs[n]) & _ON_MAPS for n in others):
+    if any(_is(units[n], LENGTH) or _words(theirs[n]) & _ON_MAPS for n in others):
         return {}  # they may be the places
     named = [n for n in columns if n in table.unused and is_own_speed(theirs[n])]
     named = [n for n in named if not units[n] or unit_of(units[n]) == _SPEED]
@@ -269,10 +253,7 @@ def _velocities(table, declaration):
 def _require_right_unit(table, declaration, theirs):
     """DataError where a heading speaks of an acceleration and its unit is that of a velocity.
 
-    Parameters
-    ----------
-    theirs : mapping of str to str
-        Name of a column -> its heading.
+    `theirs` has the heading of each column, by its name.
     """
     odd = {
         n: text for n, text in theirs.items()
@@ -334,15 +315,13 @@ def _all_accelerations(table, declaration):
     """Axis -> column of accelerations, of all axes of a sensor; empty where there is none."""
     columns = table.columns
     known = {axis: f"a{axis}" for axis in "xyz" if f"a{axis}" in declaration.columns}
+    known = known or _of_sensor(table, declaration, lambda unit: _is(unit, ACCELERATION))
     if known:
         return known
-    pushed = _of_sensor(table, declaration, lambda unit: _is(unit, ACCELERATION))
-    if pushed:
-        return pushed
     units = _units_of(table, declaration, columns)
     theirs = {name: table.heading(name) for name in columns}
     rest = [name for name in columns if name in table.unused]
-    if any(_is(units[n], _LENGTH) or _is(units[n], _SPEED) for n in rest):
+    if any(_is(units[n], LENGTH) or _is(units[n], _SPEED) for n in rest):
         return {}  # they say more
     found = [n for n in rest if _is(units[n], ACCELERATION)] or [
         n for n in rest  # `A_x` without a unit may be a place of A
@@ -388,7 +367,7 @@ def _words(text):
 
 
 def _is(text, unit):
-    return bool(text) and is_unit(text) and unit_of(text) == unit
+    return bool(text) and unit_of(text) == unit
 
 
 def _is_turn(heading, unit):
@@ -428,12 +407,8 @@ def _metric(table, declaration, found):
     text = next((said.get(n, plain or table.units.get(n, "")) for n in found.values()), "")
     if text in GRAVITIES:
         return GRAVITIES[text]
-    if not text:
-        length = said.get("length", "m")
-        is_known = _is(length, _LENGTH) and "px" not in length.lower()
-        return parse_unit(length)[0] if is_known else 0.0
-    is_known = _is(text, ACCELERATION) and "px" not in text.lower()
-    return parse_unit(text)[0] if is_known else 0.0
+    text, unit = (text, ACCELERATION) if text else (said.get("length", "m"), LENGTH)
+    return parse_unit(text)[0] if _is(text, unit) and "px" not in text.lower() else 0.0
 
 
 def _scale(table, declaration, found, velocity):
@@ -451,18 +426,15 @@ def _scale(table, declaration, found, velocity):
             "give all of them in one",
         )  # fmt: skip
     (text,) = texts
-    of_turns = _RATE if order == 1 else _RATE / Unit.of(s=1)
+    of_turns = _RATE if order == 1 else _RATE / TIME
     if order == 2 and text in GRAVITIES:
         value = GRAVITIES[text] / (parse_unit(said["length"])[0] if "length" in said else 1.0)
         return value * clock, {} if "length" in said else dict.fromkeys(found, "m")
     if not (_is(text, _SPEED if order == 1 else ACCELERATION) or _is(text, of_turns)):
         return 1.0, {}
-    is_turn, is_in_pixels = unit_of(text) == of_turns, "px" in text.lower()
-    value = size_of(text)
-    scale = value * clock
-    if is_in_pixels:
+    is_turn, scale = unit_of(text) == of_turns, size_of(text) * clock
+    if "px" in text.lower():
         return scale, dict.fromkeys(found, "px")
-    length = said.get("length")
-    if length and not is_turn:
-        return scale / parse_unit(length)[0], {}
+    if "length" in said and not is_turn:
+        return scale / parse_unit(said["length"])[0], {}
     return scale, dict.fromkeys(found, "rad" if is_turn else "m")

@@ -15,7 +15,12 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from bsp_gp.data.apart import below_each_other, may_be_below, recordings_apart
+from bsp_gp.data.apart import (
+    below_each_other,
+    may_be_below,
+    recordings_apart,
+    without_meetings,
+)
 from bsp_gp.data.assembly import (
     along_named_axis,
     axes_of,
@@ -26,20 +31,21 @@ from bsp_gp.data.assembly import (
 )
 from bsp_gp.data.clock import check_declared_rate, clock_jumps
 from bsp_gp.data.conversion import Conversion
-from bsp_gp.data.counted import with_counted_angles
 from bsp_gp.data.dates import as_declared, with_unix_times
 from bsp_gp.data.declaration import select_scenes
 from bsp_gp.data.declared_noise import doubts_of_noise, noise_of_all, with_noise_of_bodies
 from bsp_gp.data.extent import spans_the_sky
 from bsp_gp.data.horizons import without_header
-from bsp_gp.data.meeting import without_meetings
 from bsp_gp.data.named_units import (
     half_said,
     units_of,
     with_angles,
+    with_counted_angles,
     with_inputs,
     with_their_names,
+    without_other_units,
 )
+from bsp_gp.data.notes import listed
 from bsp_gp.data.on_maps import from_maps
 from bsp_gp.data.polar import from_polar
 from bsp_gp.data.properties import read_properties
@@ -52,14 +58,7 @@ from bsp_gp.data.sky import from_sky
 from bsp_gp.data.stars import PRIMARY, read_stars, with_named_dates, with_primary
 from bsp_gp.data.still import held_still
 from bsp_gp.data.table import Table
-from bsp_gp.data.twice import (
-    by_date,
-    measures_at_once,
-    without_copies,
-    without_held,
-    without_slips,
-)
-from bsp_gp.data.uncalibrated import without_other_units
+from bsp_gp.data.twice import by_date, measures_at_once, without_copies, without_held, without_slips
 from bsp_gp.data.unread import MOST_TOLD, require_renames, told_unused
 from bsp_gp.errors import DataError
 
@@ -82,7 +81,7 @@ def assemble(table, roster, declaration, default_name):
     rows = build_rows(table, declaration, conversion, scene_name=default_name)
     rows = _tidied(rows, roster, conversion, "scene" in table)
     scenes, idle = build_scenes(rows, roster, without_track=(PRIMARY,) if is_star else ())
-    scenes = with_primary(scenes, roster) if is_star else scenes
+    scenes = tuple(with_primary(s, roster) for s in scenes) if is_star else scenes
     free = _free_of_the_sky(scenes, declaration, conversion.system)
     scenes, still = (scenes, ()) if is_said or is_star else held_still(scenes, free)
     if conversion.system.is_angle:
@@ -93,55 +92,32 @@ def assemble(table, roster, declaration, default_name):
     train, test, split_note = split_of(declaration, rows.scene_names)
     latents, latent_units = _latents(declaration, conversion, rows, roster)
     notes = [
-        *table.notes,
-        *told_unused(table, inputs_of(table, declaration)),
-        *units_notes,
-        *input_notes,
-        *rows.notes,
-        *still,
-        *(roster.notes if roster else ()),
-        *idle,
-        *clock,
-        *doubts_of_noise(declaration, rows),
-        *split_note,
-        *_idle_velocities(table, declaration),
-    ]
+        *table.notes, *told_unused(table, inputs_of(table, declaration)), *units_notes,
+        *input_notes, *rows.notes, *still, *(roster.notes if roster else ()), *idle, *clock,
+        *doubts_of_noise(declaration, rows), *split_note, *_idle_velocities(table, declaration),
+    ]  # fmt: skip
     n_dims, memory = scenes[0].n_dims, declaration.noise_memory
     return Dataset(
-        name=declaration.name or default_name,
-        scenes=scenes,
-        train=train,
-        test=test,
+        name=declaration.name or default_name, scenes=scenes, train=train, test=test,
         units=_with_remedies(conversion.system, unread_masses(table)),
-        property_units={
-            **latent_units,
-            **(roster.units if roster else {}),
-            **{name: unit for name, (_, unit) in rows.inputs.items()},
-        },
+        property_units=latent_units | (roster.units if roster else {})
+        | {name: unit for name, (_, unit) in rows.inputs.items()},
         up=_up(declaration, n_dims) or table.up,
         noise=noise_of_all(declaration, conversion, n_dims),
         noise_memory=None if memory is None else memory * conversion.time(),
         logged={name: (heading, unit) for name, (heading, _, unit) in rows.logged.items()},
-        velocity=declaration.velocity,
-        latents=latents,
-        evaluation=declaration.evaluation,
-        provenance=_provenance(tables, declaration),
-        notes=tuple(notes),
+        velocity=declaration.velocity, latents=latents, evaluation=declaration.evaluation,
+        provenance=_provenance(tables, declaration), notes=tuple(notes),
         is_film=declaration.fps is not None or Path(table.file).suffix.lower() == ".trk",
         steps=_steps(table, declaration, conversion, n_dims),
-    )
+    )  # fmt: skip
 
 
 def _with_places(table, declaration):
-    """The table with places x, y and z, whatever stands for them; its declaration.
+    """The table with places x, y and z, whatever stands for them; its declaration, notes, is_star.
 
-    Returns
-    -------
-    table, declaration
-    notes : list of str
-        Of the inputs that laws name.
-    is_star : bool
-        Whether places are those of a companion as seen from its star.
+    Notes are of the inputs that laws name; places of stars are those of a companion as seen from
+    its star.
     """
     table = without_header(with_unix_times(table, declaration.units), declaration)
     table = instead_of_places(as_declared(table, declaration.units), declaration)
@@ -206,8 +182,7 @@ def _provenance(tables, declaration):
     provenance, named = dict(declaration.provenance), tables[0].theirs
     theirs = [k if k == v else f"{k} = {v!r}" for k, v in named.items()]
     if theirs != list(named):
-        more = f" and {len(theirs) - MOST_TOLD} more" if len(theirs) > MOST_TOLD else ""
-        provenance["columns"] = ", ".join(theirs[:MOST_TOLD]) + more
+        provenance["columns"] = listed(theirs, MOST_TOLD)
     digests = {f"sha256 of {Path(t.file).name}": t.digest for t in tables if t.digest}
     return provenance | digests
 
@@ -221,13 +196,11 @@ def _free_of_the_sky(scenes, declaration, units):
     return {body.name for body in bodies if body.name in said or "mass" in body.properties}
 
 
-
 def _with_remedies(system, of_masses):
     """The units, and what to say where a mass turns out to be needed."""
     if not of_masses or "mass" in system.declared:
         return system
     return replace(system, remedies=MappingProxyType({"kg": of_masses}))
-
 
 
 def split_of(declaration, names):
@@ -253,13 +226,6 @@ def split_of(declaration, names):
     return sides["train"], sides["test"], note
 
 
-
-def _scaled(latent, names, scale):
-    """Numbers of a declaration in SI; those that are not given stay so."""
-    values = {name: getattr(latent, name) for name in names}
-    return {name: value * scale for name, value in values.items() if math.isfinite(value)}
-
-
 def _latents(declaration, conversion, rows, roster):
     latents, units = [], {}
     columns = {name for e in (roster.entities if roster else ()) for name in e.properties}
@@ -276,14 +242,11 @@ def _latents(declaration, conversion, rows, roster):
             latent.entities, rows.entity_names, what=f"entities of latent {latent.name}",
             file=declaration.file,
         )  # fmt: skip
-        changes = {
-            **_scaled(latent, ("low", "high", "mean", "sd"), scale),
-            "values": tuple(value * scale for value in latent.values),
-            "entities": entities,
-        }
-        latents.append(replace(latent, **changes))
+        numbers = {name: getattr(latent, name) for name in ("low", "high", "mean", "sd")}
+        numbers = {name: value * scale for name, value in numbers.items() if math.isfinite(value)}
+        values = tuple(value * scale for value in latent.values)
+        latents.append(replace(latent, **numbers, values=values, entities=entities))
     return tuple(latents), {k: v for k, v in units.items() if k not in PROPERTY_UNITS}
-
 
 
 def _up(declaration, n_dims):

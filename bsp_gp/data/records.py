@@ -14,21 +14,14 @@ _REMEDY = (
     'give one record a row, {"t": 0.1, "entity": "ball", "x": 0.2, "y": 0.3}, as a list or line by '
     "line, or columns by name"
 )
-_AXES = ("x", "y", "z")
 
 
 def as_table(text, path):
     """The rows of a JSON file as text with tabs, the header first.
 
-    What is nested has the names of what it is in before it, ``{"pos": {"x": 1}}`` as ``pos_x``;
-    two or three numbers in a list are the coordinates of a place, ``{"pos": [1, 2]}`` as ``pos_x``
-    and ``pos_y``. Objects by name, each with a list of records, are recordings of these names.
-
-    Parameters
-    ----------
-    text : str
-    path : path-like
-        Named in errors.
+    What is nested has the names of what it is in before it, ``{"pos": {"x": 1}}`` as ``pos_x``; two
+    or three numbers in a list are the coordinates of a place, ``{"pos": [1, 2]}`` as ``pos_x`` and
+    ``pos_y``. Objects by name, each with a list of records, are recordings of these names.
 
     Raises
     ------
@@ -123,12 +116,12 @@ def _flat(record, path, before=""):
         if isinstance(value, dict):
             out |= _flat(value, path, f"{name}_")
         elif isinstance(value, list):
-            if not 2 <= len(value) <= len(_AXES) or any(isinstance(v, list | dict) for v in value):
+            if not 2 <= len(value) <= 3 or any(isinstance(v, list | dict) for v in value):
                 raise DataError(
                     f"{name} is a list that is no place in two or three dimensions", file=path,
                     remedy=_REMEDY,
                 )  # fmt: skip
-            out |= {f"{name}_{axis}": _text(v) for axis, v in zip(_AXES, value, strict=False)}
+            out |= {f"{name}_{axis}": _text(v) for axis, v in zip("xyz", value, strict=False)}
         else:
             out[name] = _text(value)
     return out

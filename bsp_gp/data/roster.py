@@ -44,12 +44,8 @@ class Roster:
 def read_roster(table, conversion, *, coded=()):
     """Make the roster from the table of ``entities.csv``.
 
-    Parameters
-    ----------
-    table : Table
-        Read with ``as_text=True``.
-    coded : iterable of str
-        Text columns to keep, as numbers 0, 1, … in order of appearance (``share = COLUMN``).
+    That is read with ``as_text=True``; text columns in `coded` (``share = COLUMN``) are kept as
+    numbers 0, 1, … in order of appearance.
     """
     table.require(["entity"])
     reader = _RosterReader(table, conversion)

@@ -25,16 +25,10 @@ CHECK = "check: "
 """Beginning of the notes that doubt the data or the law: every account of a result shows them."""
 SHAPES = ("point", "disc", "rect_wall", "rect_mat")
 POINTLIKE = ("point", "disc")
-PROPERTY_UNITS = MappingProxyType(
-    {
-        "mass": Unit.of(kg=1),
-        "friction": DIMENSIONLESS,
-        "charge": Unit.of(A=1, s=1),
-        "radius": Unit.of(m=1),
-        "stiffness": Unit.of(kg=1, s=-2),
-        "rest_length": Unit.of(m=1),
-    }
-)
+PROPERTY_UNITS = MappingProxyType({
+    "mass": Unit.of(kg=1), "friction": DIMENSIONLESS, "charge": Unit.of(A=1, s=1),
+    "radius": Unit.of(m=1), "stiffness": Unit.of(kg=1, s=-2), "rest_length": Unit.of(m=1),
+})  # fmt: skip
 """Units of the properties that the grammars know by name; other columns declare theirs."""
 
 
@@ -67,19 +61,15 @@ class Entity:
 
     def __post_init__(self):
         if self.shape not in SHAPES:
-            raise DataError(
-                f"shape of entity {self.name!r} must be one of {', '.join(SHAPES)}, "
-                f"got {self.shape!r}",
-                column="shape",
-            )
+            problem = f"shape of entity {self.name!r} must be one of {', '.join(SHAPES)}"
+            raise DataError(f"{problem}, got {self.shape!r}", column="shape")
         object.__setattr__(self, "properties", MappingProxyType(dict(self.properties)))
         mass = self.properties.get("mass", math.nan)
         if not self.is_static and mass <= 0:
             raise DataError(
-                f"mass of entity {self.name!r} must be positive, got {mass:g}",
-                column="mass",
+                f"mass of entity {self.name!r} must be positive, got {mass:g}", column="mass",
                 remedy="leave the cell empty if the mass is unknown, or set dynamic to 0",
-            )
+            )  # fmt: skip
 
     @property
     def mass(self):
@@ -354,12 +344,11 @@ class Dataset:
     steps: tuple[float, ...] = ()
 
     def __post_init__(self):
-        object.__setattr__(self, "logged", MappingProxyType(dict(self.logged)))
         object.__setattr__(self, "scenes", tuple(self.scenes))
-        object.__setattr__(
-            self, "property_units", MappingProxyType({**PROPERTY_UNITS, **self.property_units})
-        )
-        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+        object.__setattr__(self, "property_units", {**PROPERTY_UNITS, **self.property_units})
+        for attribute in ("logged", "property_units", "provenance"):
+            known = MappingProxyType(dict(getattr(self, attribute)))
+            object.__setattr__(self, attribute, known)
         if not self.scenes:
             raise DataError(f"data set {self.name!r} has no scenes")
         names = [scene.name for scene in self.scenes]
@@ -438,29 +427,21 @@ class Dataset:
     @property
     def property_names(self):
         """Names of all properties that any entity has a known value of, sorted."""
-        return tuple(
-            sorted(
-                {
-                    name
-                    for scene in self.scenes
-                    for entity in scene.entities
-                    for name, value in entity.properties.items()
-                    if np.all(np.isfinite(value))
-                }
-            )
-        )
+        entities = (entity for scene in self.scenes for entity in scene.entities)
+        known = {name for entity in entities for name, value in entity.properties.items()
+                 if np.all(np.isfinite(value))}  # fmt: skip
+        return tuple(sorted(known))
 
     def scene(self, name):
         """Look a scene up by name; DataError if there is none."""
-        for scene in self.scenes:
-            if scene.name == name:
-                return scene
-        raise DataError(f"unknown scene {name!r}; present are {[s.name for s in self.scenes][:20]}")
+        return self.select([name])[0]
 
     def select(self, names):
-        """Scenes by name, in the order given."""
-        by_name = {scene.name: scene for scene in self.scenes}
-        return tuple(by_name[name] if name in by_name else self.scene(name) for name in names)
+        """Scenes by name, in the order given; DataError for one that there is not."""
+        known = {scene.name: scene for scene in self.scenes}
+        for name in (name for name in names if name not in known):
+            raise DataError(f"unknown scene {name!r}; present are {list(known)[:20]}")
+        return tuple(known[name] for name in names)
 
     @classmethod
     def from_frames(cls, frames, entities=None, **settings):

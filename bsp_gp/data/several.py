@@ -48,18 +48,10 @@ def _counted(name):
 
 
 def joined(datasets, paths):
-    """Make one data set of several.
+    """One data set of several, of which each comes from one of the paths.
 
-    Parameters
-    ----------
-    paths : sequence of path-like
-        Where each comes from.
-
-    Returns
-    -------
-    Dataset
-        A file of one scene gives its name to it; scenes of a file with several keep theirs, after
-        that of the file where another file has the same.
+    A file of one scene gives its name to it; scenes of a file with several keep theirs, after that
+    of the file where another file has the same.
 
     Raises
     ------
@@ -84,8 +76,7 @@ def joined(datasets, paths):
     if len(set(flat)) < len(flat):
         twice = next(name for name in flat if flat.count(name) > 1)
         raise DataError(f"two files give a scene {twice!r}", remedy="give every file once")
-    scenes, notes, sides = [], {}, {"train": [], "test": []}
-    provenance = {}
+    scenes, notes, sides, provenance = [], {}, {"train": [], "test": []}, {}
     for dataset, new, stem in zip(datasets, taken, stems, strict=True):
         of_old = dict(zip((scene.name for scene in dataset.scenes), new, strict=True))
         scenes += [replace(s, name=of_old[s.name]) for s in dataset.scenes]
@@ -116,10 +107,9 @@ def _bodies_of(datasets, stems):
     if len(datasets) < 2 or not is_lone:
         return ()
     times = scenes[0].times
-    step = float(np.median(np.diff(times)))
+    off = SAME_CLOCK * float(np.median(np.diff(times)))
     is_one_clock = all(
-        len(s.times) == len(times) and np.abs(s.times - times).max() < SAME_CLOCK * step
-        for s in scenes
+        len(s.times) == len(times) and np.abs(s.times - times).max() < off for s in scenes
     )
     is_plain = not any(s.inputs or s.first or s.velocities is not None for s in scenes)
     for names in ([s.names[0] for s in scenes], stems):

@@ -40,8 +40,6 @@ UNEVEN = 3.0
 """Upper quartile of the steps between nights, in their lower one, at the least."""
 SUREST = 0.1
 """Errors below which numbers without a unit are km/s: no spectrograph knows m/s so well."""
-_ERRORS = words_for("error_of_radial")
-_OF_SPECTRA = words_for("spectrum")
 
 
 def sighted(table):
@@ -156,18 +154,11 @@ def is_of_sight(heading):
     """Whether a heading is that of a velocity along the line of sight, and of nothing else."""
     words = {word.rstrip("0123456789") for word in words_of(heading)}
     is_named = bool(words & RADIAL_NAMES) or {"radial", "velocity"} <= words
-    return is_named and not (is_doubt(heading) or words & _OF_SPECTRA)
+    return is_named and not (is_doubt(heading) or words & words_for("spectrum"))
 
 
 def along_sight(table, declaration, column):
-    """The table with such velocities as its one coordinate, and its declaration.
-
-    Parameters
-    ----------
-    table : Table
-    declaration : Declaration
-    column : str
-        Of the velocities.
+    """The table with a column of such velocities as its one coordinate, and its declaration.
 
     Raises
     ------
@@ -240,7 +231,7 @@ def error_beside(table, column, heading, unit):
 def _is_its_error(text, heading):
     """Whether a heading is that of the error: ``errvel`` beside ``mnvel`` too."""
     word = re.sub(r"[^a-z]", "", text.lower())
-    return is_error_of(text, heading) or word in _ERRORS
+    return is_error_of(text, heading) or word in words_for("error_of_radial")
 
 
 def _by_instruments(table):

@@ -69,15 +69,15 @@ def from_sky(table, declaration):
         table = _without_idle_distance(table)
         table, units = (_in_space if "distance" in table else _offsets)(table, found, units)
     distance = _distance(declaration.sky, table.file)
+    if distance is None:
+        return table, replace(declaration, units=units)
     known = {**table.units, **units}
     places = [c for c in ("x", "y", "z", "sx", "sy", "sz") if c in table.frame.columns]
     lengths = {c: known.get(c, known.get("length", "")).strip() for c in places}
     lengths = {c: text for c, text in lengths.items() if text in OF_THE_SKY}
-    if distance is None or not lengths:
-        if distance is not None:
-            table.fail("[sky] tells how far it is, but lengths are no angles", "length",
-                       'write [units] length = "arcsec" (or mas)')  # fmt: skip
-        return table, replace(declaration, units=units)
+    if not lengths:
+        table.fail("[sky] tells how far it is, but lengths are no angles", "length",
+                   'write [units] length = "arcsec" (or mas)')  # fmt: skip
     au = parse_unit("au")[0]
     scales = {c: parse_unit(text)[0] * distance / au for c, text in lengths.items()}
     lengths = {c: table.numbers(c) * scale for c, scale in scales.items()}

@@ -101,8 +101,7 @@ def sniff(head, rename, marks, path, whole=None):
     said = {*rename, *rename.values()}
     for number in range(len(head)):
         for delimiter in DELIMITERS:
-            cells = names_in(head, number, delimiter, said)
-            cells = _without_idle_end(head, number, delimiter, cells)
+            cells = _names(head, number, delimiter, said)
             if is_track and (len(cells) < 2 or not _is_even(head, number, delimiter, cells)):
                 continue
             found = headings(cells, rename, is_track=is_track)
@@ -112,8 +111,7 @@ def sniff(head, rename, marks, path, whole=None):
     if ruled is not None:
         return _finish(head, ruled[0], None, headings(ruled[1], rename))
     number, delimiter = _likely_header(head)
-    cells = names_in(head, number, delimiter, said)
-    cells = _without_idle_end(head, number, delimiter, cells)
+    cells = _names(head, number, delimiter, said)
     found = headings(cells, rename, is_track=is_track)
     if COMMENT.match(head[number]) and is_track:
         _require_names_of_all(head, number, found, path, whole)
@@ -121,11 +119,15 @@ def sniff(head, rename, marks, path, whole=None):
     if n_numbers and (n_numbers == n_filled or 2 * n_numbers > len(cells) > 2):
         raise DataError(
             f"the first line holds {n_numbers} number(s) where the names of the columns are "
-            "expected",
-            file=path, row=number + 1,
+            "expected", file=path, row=number + 1,
             remedy=remedy_of_numbers(cells, whole()[number:], delimiter),
         )  # fmt: skip
     return _finish(head, number, delimiter, found)
+
+
+def _rows(lines):
+    """Lines with something in them, and no comments."""
+    return [line for line in lines if line.strip() and not COMMENT.match(line)]
 
 
 def _without_header(head, rename, whole):
@@ -180,8 +182,7 @@ def _n_above(lines, said):
 
 def _require_names_of_all(head, number, found, path, whole):
     """DataError where a comment names others than the columns of numbers: nobody knows which."""
-    lines = [line for line in head[number:] if line.strip() and not COMMENT.match(line)]
-    rows, delimiter = rows_of_numbers(lines, set())
+    rows, delimiter = rows_of_numbers(_rows(head[number:]), set())
     is_named = any(h.sure != UNKNOWN or h.is_renamed for h in found)
     if rows and len(rows[0]) > 1 and not (is_named and len(rows[0]) <= len(found)):
         row = rows[0]
@@ -190,8 +191,7 @@ def _require_names_of_all(head, number, found, path, whole):
             f"have {len(row)} columns; the first row is {' '.join(row[:MOST_SHOWN])}"
             f"{' ...' if len(row) > MOST_SHOWN else ''}",
             file=path, row=number + 1,
-            remedy=remedy_of_numbers(row, [line for line in whole()[number:] if line.strip()
-                                            and not COMMENT.match(line)], delimiter),
+            remedy=remedy_of_numbers(row, _rows(whole()[number:]), delimiter),
         )  # fmt: skip
 
 
@@ -201,15 +201,16 @@ def _is_even(head, number, delimiter, cells):
     Tabs do so unless they are mixed with blanks, and any white space would be even.
     """
     if delimiter == "\t":
-        rows = [line for line in head[number:] if line.strip() and not COMMENT.match(line)]
+        rows = _rows(head[number:])
         tabs, blanks = ({len(split_line(row, mark)) for row in rows} for mark in ("\t", None))
         return len(tabs) < 2 or len(blanks) > 1
     row = below(head, number).split()
     return delimiter is not None or not row or len(row) == len(cells)
 
 
-def _without_idle_end(head, number, delimiter, cells):
+def _names(head, number, delimiter, said):
     """Names of a header without the delimiter at its end, where no row below has as many cells."""
+    cells = names_in(head, number, delimiter, said)
     n_below = len(split_line(below(head, number), delimiter))
     is_idle = bool(cells) and not cells[-1] and 0 < n_below < len(cells)
     return cells[:-1] if is_idle and not has_row_of(head, number, delimiter, len(cells)) else cells
@@ -283,9 +284,8 @@ def _finish(head, number, delimiter, found):
     cells = split_line(head[data_line], delimiter) if data_line < len(head) else ()
     if cells and all(is_rule(cell) for cell in cells):  # a rule under the header
         data_line += 1
-    title = split_line(COMMENT.sub("", head[number - 1]), delimiter) if number else ()
-    if number and _DIALECT.match(head[number - 1]):
-        title = ()
+    has_title = number and not _DIALECT.match(head[number - 1])
+    title = split_line(COMMENT.sub("", head[number - 1]), delimiter) if has_title else ()
     if number > 1 and len(title) == len(found):
         title = _of_individuals(split_line(head[number - 2], delimiter), title)
     decimal = _decimal(head[data_line:], delimiter)
@@ -305,8 +305,7 @@ def _of_individuals(above, title):
     if len(above) != len(title) or above[0].lower() != "individuals":
         return title
     is_one = len(set(title[1:])) == 1
-    names = (who if is_one else f"{who} {part}" for who, part in zip(above, title, strict=True))
-    return tuple(names)
+    return tuple(who if is_one else f"{who} {part}" for who, part in zip(above, title, strict=True))
 
 
 def _under(names, units):

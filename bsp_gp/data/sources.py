@@ -1,6 +1,7 @@
 """Where the text of a table comes from: a text file in its encoding, or a sheet of a workbook."""
 
 import codecs
+import contextlib
 import csv
 import hashlib
 import io
@@ -98,10 +99,7 @@ class Source:
     def without_brackets(self, head):
         """The same without the brackets of a matrix around its rows, as MATLAB and numpy print it.
 
-        Parameters
-        ----------
-        head : sequence of str
-            The first lines.
+        They are told by `head`, the first lines.
         """
         first = next((k for k, line in enumerate(head) if _OPENED.fullmatch(line.strip())), None)
         if first is None:
@@ -119,12 +117,8 @@ class Source:
     def without_comments(self, above):
         """The same with blank lines for comments (#) below the header, where few lines are; a note.
 
-        Rows that someone has taken out of a table so are no rows.
-
-        Parameters
-        ----------
-        above : sequence of str
-            The lines down to the header.
+        Rows that someone has taken out of a table so are no rows. `above` are the lines down to the
+        header.
         """
         if self.counts[b"#"] <= sum(line.count("#") for line in above):
             return self  # the text is read once more only where there are some
@@ -142,11 +136,8 @@ class Source:
 def open_source(path, names=()):
     """The source of a table.
 
-    Parameters
-    ----------
-    names : collection of str
-        Columns that the caller knows. Where only the file's own header has them, what a program
-        wrote is not turned into a plain table.
+    `names` are columns that the caller knows: where only the file's own header has them, what a
+    program wrote is not turned into a plain table.
 
     Raises
     ------
@@ -226,9 +217,7 @@ def _text_file(path, names):
     is_blank = True
     bad_line = None
     with path.open("rb") as stream:
-        for number in itertools.count():
-            if not (chunk := stream.read(1 << 22)):
-                break
+        for number, chunk in enumerate(_chunks(stream)):
             if number == 0 and chunk.startswith(_UTF_16):
                 return _utf_16(path, names)
             if b"\x00" in chunk:
@@ -367,36 +356,32 @@ def _encoding_by_words(path):
         head = b"\n".join(stream.read(_HEAD_BYTES).split(b"\n")[:_HEADER])
     counts = {}
     for encoding in _ENCODINGS:
-        try:
+        with contextlib.suppress(UnicodeDecodeError):
             counts[encoding] = n_known_words(head.decode(encoding))
-        except UnicodeDecodeError:
-            continue
     best = max(counts, key=counts.get, default="")
     return best if counts.get(best) and _reads(path, best) else ""
+
+
+def _chunks(stream):
+    """What a stream has, a part at a time."""
+    while chunk := stream.read(1 << 22):
+        yield chunk
 
 
 def _reads(path, encoding):
     """Whether a whole file is text in an encoding."""
     try:
         with path.open(encoding=encoding) as stream:
-            while stream.read(1 << 22):
-                pass
+            return sum(1 for _ in _chunks(stream)) > 0
     except UnicodeDecodeError:
         return False
-    return True
 
 
 def _is_windows(path):
     """Whether all bytes are letters and signs of Windows-1252, and none looks like UTF-8."""
     with path.open("rb") as stream:
-        while chunk := stream.read(1 << 22):
-            try:
-                chunk.decode("cp1252")
-            except UnicodeDecodeError:
-                return False
-            if _CONTROL.search(chunk) or _UTF_8.search(chunk):
-                return False
-    return True
+        is_odd = any(_CONTROL.search(chunk) or _UTF_8.search(chunk) for chunk in _chunks(stream))
+    return not is_odd and _reads(path, "cp1252")
 
 
 def _require_rows(path, n_rows):
@@ -436,20 +421,20 @@ def _workbook(path):
     filled = [title for title, rows in sheets.items() if rows]
     if not filled:
         raise DataError("the workbook is empty", file=path, remedy="a header and rows are needed")
-    whole = _with_headers(sheets, filled)
-    made = () if whole is sheets else (
-        f"no header: columns read as {', '.join(whole[filled[0]][0])}",
-    )  # fmt: skip
-    sheets = whole
+    whole, sheets = sheets, _with_headers(sheets, filled)
+    made = f"no header: columns read as {', '.join(sheets[filled[0]][0])}"
     alike = _with_one_header(sheets, filled)
-    rows = _below_each_other(sheets, alike) if len(alike) > 1 else sheets[filled[0]]
+    rows = sheets[filled[0]]
+    if len(alike) > 1:  # recordings, each called like its sheet
+        rows = [["scene", *rows[0]], *([n, *row] for n in alike for row in sheets[n][1:])]
     text = tabbed(rows)
     unread = [title for title in filled if title not in (alike or filled[:1])]
     told = listed(list(map(repr, unread)))
     notes = (f"of {path.name} the sheet {filled[0]!r} is read, not {told}",) if unread else ()
     if len(alike) > 1:
         more = f", not {told}" if unread else ""
-        notes = (f"{len(alike)} sheets of {path.name} with one header are recordings{more}", *made)
+        notes = (f"{len(alike)} sheets of {path.name} with one header are recordings{more}",
+                 *[made] * (whole is not sheets))  # fmt: skip
     return Source(path, _digest(content), _counts(text), text=text, notes=notes,
                   is_of_sheets=len(alike) > 1)  # fmt: skip
 
@@ -473,12 +458,6 @@ def _with_one_header(sheets, filled):
     alike = [title for title, row in zip(filled, header, strict=True) if row == header[0]]
     has_own = any(cell.strip().lower() in ("scene", "run") for cell in names)
     return alike if is_named and not has_own else []
-
-
-def _below_each_other(sheets, names):
-    """Rows of several sheets with one header, each a recording that is called like its sheet."""
-    header = sheets[names[0]][0]
-    return [["scene", *header], *([n, *row] for n in names for row in sheets[n][1:])]
 
 
 def _rows(path, cells):

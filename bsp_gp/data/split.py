@@ -61,12 +61,8 @@ def choose_split(dataset, rng):
 
     A declared split wins. Without one, from four scenes on a random quarter is held out; with
     fewer, the last 30 % of the time of every scene, after a gap of one correlation time of the
-    motion or three of the noise (where it is declared to have a memory), at most a tenth.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Used only for the random quarter.
+    motion or three of the noise (where it is declared to have a memory), at most a tenth. The
+    generator is used for the random quarter alone.
     """
     if dataset.train or dataset.test:
         return _declared(dataset)

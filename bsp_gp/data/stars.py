@@ -182,18 +182,11 @@ def _with_both_errors(table):
     return replace(table, frame=table.frame.drop(columns=given)).noted(note)
 
 
-def with_primary(scenes, roster=None):
-    """Scenes with the primary beside what they have, at rest at the origin.
+def with_primary(scene, roster):
+    """The scene with the primary beside what it has, at rest at the origin.
 
-    Parameters
-    ----------
-    roster : Roster, optional
-        What is known of the primary, if it is there.
+    What is known of it may stand in the roster, or None.
     """
-    return tuple(_with_primary(scene, roster) for scene in scenes)
-
-
-def _with_primary(scene, roster):
     row = roster.row(scene.name, PRIMARY) if roster is not None else None
     name = PRIMARY
     while name in scene.names:

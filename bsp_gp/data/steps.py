@@ -38,16 +38,7 @@ step."""
 def with_sums_of_steps(frame, found):
     """The table with times in the place of steps of time, where it has no other clock.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        Its columns are called by their positions.
-
-    Returns
-    -------
-    frame : DataFrame
-    found : sequence of Heading
-    notes : tuple of str
+    With its headings, and notes, a tuple of str; columns are called by their positions.
     """
     names = [h.name for h in found]
     able = [

@@ -22,12 +22,8 @@ LITTLE = 0.01
 def held_still(scenes, free=()):
     """Scenes whose bodies that never move are static, at their mean place, and what was done.
 
-    Parameters
-    ----------
-    scenes : sequence of Scene
-    free : collection of str
-        Bodies that nothing holds: of the sky, with known masses. A heavy one hardly moves; that it
-        does shows in the others' periods. One without any jitter is where places count from.
+    Nothing holds the bodies in `free`, of the sky, with known masses: a heavy one hardly moves, and
+    that it does shows in the others' periods. One without any jitter is where places count from.
     """
     still, moves = {}, False
     for scene in scenes:

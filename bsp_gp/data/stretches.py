@@ -26,13 +26,7 @@ BEYOND, SHARE = 3.0, 0.05
 
 
 def in_stretches(dataset):
-    """The data set with recordings of very many turns cut into stretches, and a note of it.
-
-    Returns
-    -------
-    Dataset
-        The same one where no recording was cut.
-    """
+    """The data set with recordings of very many turns cut into stretches, and a note of it."""
     if not may_be_cut(dataset):
         return dataset
     sigma = np.array(estimate_noise(dataset).sigma)

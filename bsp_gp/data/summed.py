@@ -100,7 +100,12 @@ def summed(table, declaration, rates):
         Times are lost or do not increase; no track has four values, or these are beyond sensors.
     """
     found, (_, many) = rates.columns, WHAT[rates.velocity]
-    times = table.numbers("t") if "t" in table.frame else _of_frames(table, declaration)
+    if "t" in table:
+        times = table.numbers("t")
+    else:
+        dt = declaration.dt or np.nan
+        frames = table.numbers("frame")
+        times = frames / declaration.fps if declaration.fps else frames * dt
     lost = np.isnan(times)
     if lost.any():
         table.fail("empty cell or NaN where a time is needed", "t", row=int(lost.argmax()))
@@ -263,12 +268,6 @@ def _told(rates, is_short, is_split):
     )  # fmt: skip
 
 
-def _of_frames(table, declaration):
-    """Times of a file that counts frames, s."""
-    frames = table.numbers("frame")
-    return frames / declaration.fps if declaration.fps else frames * (declaration.dt or np.nan)
-
-
 def _are_common(table, times, good):
     """Rows at times at which all bodies of their scene have a value: they share the times."""
     if "entity" not in table.frame:
@@ -409,12 +408,8 @@ def _between_pauses(times, values, rate):
     """What a sensor shows at rest, (n, d), of a body that is pushed and stopped now and then; None.
 
     A lift that goes twice shows nothing between its rides, or at constant speed, for longer than
-    what swings does at its turns. It must be at rest at both ends.
-
-    Parameters
-    ----------
-    rate : float
-        Of the strongest wave, 1/s.
+    what swings does at its turns. It must be at rest at both ends. `rate` is that of the strongest
+    wave, 1/s.
     """
     near = ndimage.uniform_filter1d(values - np.median(values, axis=0), NEIGHBOURS, axis=0)
     size = np.linalg.norm(near, axis=1)

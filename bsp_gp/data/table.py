@@ -10,16 +10,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.conversion import is_unit, unit_of
+from bsp_gp.data.conversion import LENGTH, is_unit, unit_of
 from bsp_gp.errors import DataError
-from bsp_gp.units import Unit
 
 GAP = "leave the whole row out to mark a gap in the track"
 """What to do about a cell that has no number."""
 PLACES = ("x", "y", "z", "ra", "dec", "distance", "angle")
 """Columns that say where something is; those of errors have an s before them."""
 _IN_BRACKETS = re.compile(r"(.*?)\s*[(\[]([^()\[\]]+)[)\]]\s*")
-_LENGTH = Unit.of(m=1)
 
 
 @dataclass(frozen=True)
@@ -165,10 +163,7 @@ class Table:
     def require(self, needed, along=()):
         """Complain about the first column that is missing.
 
-        Parameters
-        ----------
-        along : sequence of str
-            Headings that may be places of several bodies.
+        `along` are headings that may be places of several bodies.
         """
         missing = [column for column in needed if column not in self.frame]
         if not missing:
@@ -176,7 +171,7 @@ class Table:
         present = self.present or tuple(self.columns)
         options = " ".join(f'{column}="..."' for column in missing)
         lengths = [text for name, text in self.unused.items()
-                   if unit_of(self.units.get(name, "1")) == _LENGTH]  # fmt: skip
+                   if unit_of(self.units.get(name, "1")) == LENGTH]  # fmt: skip
         if missing == ["x", "y"] and len(lengths) == 1:
             options = f'x="{lengths[0]}" (or y= of a height)'
         elif "x" in missing:

@@ -147,11 +147,8 @@ def _read(path, *, units, columns, fps, dt, properties, sky, uses=(), train=None
             raise DataError("a Tracker file shows no sky", file=path, remedy="leave out sky")
         return _from_tracker(path, units=units, fps=fps, dt=dt, train=train, test=test)
     elif path.suffix.lower() == ".trz" and path.is_file():
-        raise DataError(
-            "a zipped Tracker project cannot be read as it is",
-            file=path,
-            remedy="unzip it (it is a ZIP file) and give the .trk file inside",
-        )
+        raise DataError("a zipped Tracker project cannot be read as it is", file=path,
+                        remedy="unzip it (it is a ZIP file) and give the .trk file inside")
     elif path.is_file():
         trajectories, entities, declaration = path, None, Declaration()
     else:
@@ -256,11 +253,10 @@ def dataset_from_frames(
         pieces = [_checked_frame(f).assign(scene=str(k)) for k, f in frames.items()]
         frames = pd.concat(pieces, ignore_index=True)
     table = _frame_table(_checked_frame(frames), declaration.columns, "frames")
-    if entities is None or isinstance(entities, pd.DataFrame):
-        roster = entities
-        if entities is not None:
-            roster = _frame_table(entities, declaration.columns, "entities")
-    else:
+    roster = entities
+    if isinstance(entities, pd.DataFrame):
+        roster = _frame_table(entities, declaration.columns, "entities")
+    elif entities is not None:
         roster = _roster_of(tuple(entities))
     return with_properties(assemble(table, roster, declaration, name), properties)
 
@@ -274,9 +270,9 @@ def _checked_frame(frame):
 def _frame_table(frame, rename, what):
     if frame.empty:
         raise DataError("the table has no rows", file=what)
-    found = headings(frame.columns, rename, is_track=what == "frames")
-    plain = frame.set_axis(range(frame.shape[1]), axis=1).set_axis(range(1, len(frame) + 1), axis=0)
     is_track = what == "frames"
+    found = headings(frame.columns, rename, is_track=is_track)
+    plain = frame.set_axis(range(frame.shape[1]), axis=1).set_axis(range(1, len(frame) + 1), axis=0)
     return long_table(
         plain, found, [h.unit for h in found], groups_of(found, file=what, is_track=is_track),
         file=what, as_text=not is_track,

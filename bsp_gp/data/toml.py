@@ -13,12 +13,7 @@ class TomlError(ValueError):
 
 
 def parse_toml(content):
-    """Parse the content of a TOML file.
-
-    Parameters
-    ----------
-    content : bytes
-        UTF-8, with or without a byte order mark.
+    """Parse the content of a TOML file, bytes with or without a byte order mark.
 
     Raises
     ------

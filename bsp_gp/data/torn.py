@@ -32,11 +32,6 @@ def without_torn_ends(dataset):
     Scenes of one moving body alone: where several move, another of them may have been taken for
     it. Nor where something is logged beside the track, first states are declared, rows are counted
     (`Evaluation`), or in the sky.
-
-    Returns
-    -------
-    Dataset
-        The same one where there is no such end.
     """
     if dataset.evaluation != Evaluation() or is_of_the_sky(dataset):
         return dataset

@@ -50,10 +50,9 @@ def read_trk(path):
     root = _root(path)
     if not root.get("class", "").endswith("TrackerPanel"):
         raise DataError(
-            f"not a Tracker file: its root is of the class {root.get('class')!r}",
-            file=path,
+            f"not a Tracker file: its root is of the class {root.get('class')!r}", file=path,
             remedy="save the tab in Tracker as .trk, or export the table as text",
-        )
+        )  # fmt: skip
     notes = []
     clip = _child(root, "videoclip")
     first = int(_number(clip, "startframe", 0, path))
@@ -79,11 +78,8 @@ def read_trk(path):
             world = axes.world(index, x, y)
             rows.append((start_ms / 1000 + (index - first) * delta_ms / 1000, name, *world))
     if not rows:
-        raise DataError(
-            "no point mass with a position in it",
-            file=path,
-            remedy="track a Point Mass in Tracker before saving",
-        )
+        raise DataError("no point mass with a position in it", file=path,
+                        remedy="track a Point Mass in Tracker before saving")  # fmt: skip
     frame = pd.DataFrame(rows, columns=["t", "entity", "x", "y"])
     frame = frame.sort_values(["entity", "t"], ignore_index=True)
     unit = _text(root, "length_unit")
@@ -116,11 +112,8 @@ def _root(path):
         raise DataError(f"larger than {MOST_BYTES // 10**6} MB, which no track needs", file=path)
     # Entities can blow a small file up without end; Tracker writes none.
     if re.search(rb"<!\s*(DOCTYPE|ENTITY)", data.replace(b"\0", b""), re.IGNORECASE):
-        raise DataError(
-            "a DOCTYPE or an entity is not allowed in a Tracker file",
-            file=path,
-            remedy="Tracker writes none; do not open files of unknown origin",
-        )
+        raise DataError("a DOCTYPE or an entity is not allowed in a Tracker file", file=path,
+                        remedy="Tracker writes none; do not open files of unknown origin")
     try:
         return ElementTree.fromstring(data)
     except ElementTree.ParseError as error:
@@ -156,36 +149,27 @@ def _number(node, name, default, path):
     return value
 
 
-def _flag(node, name):
-    return _text(node, name) == "true"
-
-
 class _Axes:
     """Origin, angle and scale, frame by frame where they are not fixed."""
 
     def __init__(self, coords, path):
         self.path = path
-        frames = _child(coords, "framedata")
-        self.frames = {}
-        for index, node in _indexed(frames):
-            self.frames[index] = node
+        self.frames = dict(_indexed(_child(coords, "framedata")))
         if not self.frames:
             raise DataError("it holds no axes (coords)", file=path)
-        self.fixed = _flag(coords, "fixedorigin") and _flag(coords, "fixedangle")
-        self.fixed = self.fixed and _flag(coords, "fixedscale")
+        parts = ("fixedorigin", "fixedangle", "fixedscale")
+        self.fixed = all(_text(coords, part) == "true" for part in parts)
         scales = {_number(n, s, 1.0, path) for n in self.frames.values() for s in SCALES}
         self.is_unscaled = scales == {1.0}
 
     def world(self, index, x, y):
         known = sorted(k for k in self.frames if k <= index) or sorted(self.frames)[:1]
         node = self.frames[0 if self.fixed and 0 in self.frames else known[-1]]
-        x0, y0 = _number(node, "xorigin", 0.0, self.path), _number(node, "yorigin", 0.0, self.path)
-        angle = math.radians(_number(node, "angle", 0.0, self.path))
-        sx = _number(node, "xscale", 1.0, self.path)
-        sy = _number(node, "yscale", 1.0, self.path)
+        x0, y0, angle = (_number(node, n, 0.0, self.path) for n in ("xorigin", "yorigin", "angle"))
+        sx, sy = (_number(node, name, 1.0, self.path) for name in SCALES)
         if sx == 0 or sy == 0:
             raise DataError("a scale of zero pixels per unit", file=self.path)
-        dx, dy = x - x0, y0 - y
+        dx, dy, angle = x - x0, y0 - y, math.radians(angle)
         across = (dx * math.cos(angle) + dy * math.sin(angle)) / sx
         return across, (dy * math.cos(angle) - dx * math.sin(angle)) / sy
 

@@ -40,15 +40,13 @@ def by_date(rows):
     span = np.ptp(rows.times) if len(rows.times) else 0.0
     if rows.sigma is None or not 0 < span < np.abs(rows.times).min():
         return rows
-    order = np.lexsort((rows.times, rows.entity, rows.scene))
-    key = rows.tracks
-    own = np.argsort(key, kind="stable")
-    is_back = (np.diff(key[own]) == 0) & (np.diff(rows.times[own]) < 0)
-    if not is_back.any():
+    _, later, steps = rows.steps
+    back = later[steps < 0]
+    if not len(back):
         return rows
-    line = int(rows.lines[own[1:][is_back].min()])
+    line = int(rows.lines[back.min()])
     note = f"dates go back, first in line {line}: rows were put into the order of their dates"
-    return rows.taken(order).noted(note)
+    return rows.taken(np.lexsort((rows.times, rows.entity, rows.scene))).noted(note)
 
 
 def without_copies(rows):
@@ -58,8 +56,7 @@ def without_copies(rows):
     if rows.sigma is not None:
         same += [(np.isnan(s[1:]) & np.isnan(s[:-1])) | (s[1:] == s[:-1]) for s in rows.sigma.T]
     is_copy = np.append(False, np.all(same, axis=0))
-    if rows.velocities is not None or not is_copy.any():
-        return rows
+    is_copy &= rows.velocities is None
     return _left_out(rows, is_copy, "say time and place of the row before again")
 
 
@@ -75,8 +72,6 @@ def without_slips(rows):
     is_late = times <= before
     is_few = is_late.groupby(key).transform("mean") <= MOST_SLIPS
     is_slip = (is_late & is_few).to_numpy()
-    if not is_slip.any():
-        return rows
     return _left_out(rows, is_slip, "have a time that is not after those before")
 
 
@@ -93,8 +88,6 @@ def without_held(rows):
     key = rows.tracks
     for own in pd.Series(key).groupby(key).indices.values():
         is_held[own] = _are_held(rows.times[own], rows.positions[own])
-    if not is_held.any():
-        return rows
     return _left_out(rows, is_held, "hold the place of the row before, and leap to the next")
 
 
@@ -140,6 +133,9 @@ def _quantum(steps):
 
 
 def _left_out(rows, is_out, what):
+    """Rows without some, and a check that says so; the same ones without any."""
+    if not is_out.any():
+        return rows
     lines = rows.lines[is_out]
     named = listed(list(dict.fromkeys(lines.tolist())), LISTED)  # of bodies side by side, once
     note = f"{len(lines)} row(s) {what}: left out (line {named})"

@@ -237,12 +237,7 @@ def told_of_constant(constant, named):
 def remedy_of_numbers(cells, lines, delimiter):
     """How a user says which of the columns is which, by what their numbers may be.
 
-    Parameters
-    ----------
-    cells : sequence of str
-        Of the first row.
-    lines : sequence of str
-        That one and those below it.
+    `cells` are those of the first row, `lines` that one and those below it.
     """
     if len(cells) == 1:
         return (
@@ -363,12 +358,7 @@ def _is_calendar(columns):
 def _by_clock(columns, clocks):
     """How columns are said by their numbers beside one clock, which may be there in several units.
 
-    Parameters
-    ----------
-    columns : mapping of int to _Column
-        By their numbers, from 1.
-    clocks : list of int
-        Numbers of those that are the clock.
+    `columns` are by their numbers, from 1; `clocks` those of what is the clock.
     """
     moving = [k for k, own in columns.items()
               if k not in clocks and {*own.steps.tolist()} - {0.0, 1.0}]  # fmt: skip

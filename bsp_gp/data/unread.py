@@ -1,7 +1,7 @@
 """What of a table is not read, and what it may be: told, with the option that makes it so."""
 
 from bsp_gp.data.headings import bodies_beside, is_ignored
-from bsp_gp.data.notes import quoted
+from bsp_gp.data.notes import listed, quoted
 from bsp_gp.data.polar import POLAR_ALIASES
 from bsp_gp.data.polar_words import plain_words
 from bsp_gp.data.properties import LEFT_OUT
@@ -10,8 +10,6 @@ from bsp_gp.errors import DataError, in_python
 
 MOST_TOLD = 12
 """Columns whose meaning is told."""
-_DRIVES = words_for("drive")
-_HEADINGS = words_for("turned")
 
 
 def told_unused(table, inputs):
@@ -20,20 +18,17 @@ def told_unused(table, inputs):
     names = list(unused.values())
     able = [theirs for name, theirs in unused.items() if name in table.frame]  # of bodies none is
     able = [theirs for theirs in able if theirs.isidentifier()]
-    more = f" and {len(names) - MOST_TOLD} more" if len(names) > MOST_TOLD else ""
-    note = [f"not used: {', '.join(names[:MOST_TOLD])}{more}"] if names else []
-    where = [name for name in able if plain_words(name) & _HEADINGS]
+    note = [f"not used: {listed(names, MOST_TOLD)}"] if names else []
+    where = [name for name in able if plain_words(name) & words_for("turned")]
     if where:
         note.append(
             f"column {where[0]} may say how the body is turned: --units {where[0]}=deg makes it an "
             "input of laws, which may then act along and across the body's own axis"
         )
-    driving = [n for n in able if plain_words(n.rstrip("0123456789")) & _DRIVES]
+    driving = [n for n in able if plain_words(n.rstrip("0123456789")) & words_for("drive")]
     if driving:
-        note.append(
-            f"column {driving[0]} may drive the motion: --units {driving[0]}=UNIT makes it an "
-            "input of laws"
-        )
+        note.append(f"column {driving[0]} may drive the motion: --units {driving[0]}=UNIT makes it "
+                    "an input of laws")  # fmt: skip
     return note + _left_out_bodies(table, inputs)
 
 
@@ -68,10 +63,8 @@ def require_renames(declaration, tables):
             what = ours if is_out else theirs
             options = "ONE_OF_THESE=ignore" if is_out else f"{ours}=ONE_OF_THESE"
             raise DataError(
-                f"[columns] {ours} = {theirs!r}: there is no column {what!r}; "
-                f"present are {', '.join(present)}",
-                file=declaration.file or tables[0].file,
-                column=ours,
-                remedy=f"write --columns {options}; the only other key is velocity "
-                "(measured or ignore)",
-            )
+                f"[columns] {ours} = {theirs!r}: there is no column {what!r}; present are "
+                f"{', '.join(present)}", file=declaration.file or tables[0].file, column=ours,
+                remedy=f"write --columns {options}; the only other key is velocity (measured or "
+                "ignore)",
+            )  # fmt: skip

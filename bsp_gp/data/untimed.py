@@ -5,16 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from bsp_gp.data.conversion import unit_of
+from bsp_gp.data.conversion import TIME, unit_of
 from bsp_gp.data.headings import GUESS, UNKNOWN, is_body, is_rate_of
 from bsp_gp.data.notes import quoted
-from bsp_gp.units import Unit
 
 COUNTED = "there is no column of times: every row is taken as a frame"
 IN_TURN = "there is no column of times: bodies stand below each other in turn, a frame each round"
 RISES = 0.8
 """Part of the steps of a clock that go up; it may begin anew where another recording begins."""
-_TIME = Unit.of(s=1)
 _RATE = "--fps 25 says how many are in a second, or --dt the time of one"
 _NAME_IT = 'add it, or say which it is: --columns t="..."'
 
@@ -24,12 +22,7 @@ def rows_as_frames(frame, found):
 
     Rows are frames one after another unless a column says otherwise, or may: that of bodies, that
     of recordings whose rows are mixed, or one that means nothing to us and may be a clock or tell
-    rows apart.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Its columns are called by their positions; its index counts lines.
+    rows apart. Columns are called by their positions; the index counts lines.
 
     Returns
     -------
@@ -85,7 +78,7 @@ def _in_turn(names):
 
 def _is_measured(heading):
     """Whether a column has a unit, and that is none of time."""
-    return bool(heading.unit) and unit_of(heading.unit) != _TIME
+    return bool(heading.unit) and unit_of(heading.unit) != TIME
 
 
 def _may_order(cells):

@@ -15,14 +15,8 @@ SURE = 10.0
 def with_vertical(dataset, names):
     """A data set with a vertical, where names of a law ask for one and nothing declares it.
 
-    Height is y, or z in three dimensions. Not where that axis may count downwards, as of pixels
-    and of bodies that all gain along it, nor where nothing moves along it: there a user must say.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    names : collection of str
-        What laws name.
+    Height is y, or z in three dimensions. Not where that axis may count downwards, as of pixels and
+    of bodies that all gain along it, nor where nothing moves along it: there a user must say.
     """
     axis = dataset.n_dims - 1
     if dataset.up is not None or not VERTICAL & set(names) or axis < 1:

@@ -10,7 +10,6 @@ from bsp_gp.data.headings import LITERAL, UNKNOWN, is_run
 from bsp_gp.data.notes import quoted
 from bsp_gp.errors import DataError
 
-_AXES = ("x", "y", "z")
 MOST_LISTED = 8
 
 
@@ -110,13 +109,13 @@ def _repeated(found, titles):
     """Groups of columns that come again and again: ``t, x, y, t, x, y``."""
     names = [h.name for h in found]
     clock = "t" if "t" in names else "frame"
-    where = {name: [k for k, n in enumerate(names) if n == name] for name in (clock, *_AXES)}
+    where = {name: [k for k, n in enumerate(names) if n == name] for name in (clock, *"xyz")}
     n_groups = max(len(where["x"]), len(where["y"]))
     if n_groups < 2 or len(where[clock]) not in (1, n_groups) or "entity" in names:
         return ()
-    if any(len(where[axis]) not in (0, n_groups) for axis in _AXES):
+    if any(len(where[axis]) not in (0, n_groups) for axis in "xyz"):
         return ()
-    axes = [axis for axis in _AXES if where[axis]]
+    axes = [axis for axis in "xyz" if where[axis]]
     own_time = len(where[clock]) == n_groups
     if axes == ["x"] and found[where["x"][0]].sure == LITERAL and not own_time:
         return ()  # t, x, x is a slip
@@ -164,7 +163,7 @@ def stack(frame, groups, file):
     pieces = []
     for group in groups:
         piece = frame[list(group.columns.values())].set_axis(list(group.columns), axis=1)
-        axes = [axis for axis in _AXES if axis in group.columns]
+        axes = [axis for axis in "xyz" if axis in group.columns]
         piece = piece[~piece[axes].isna().all(axis=1)]
         told = {group.kind: group.label} if group.kind else {}
         pieces.append(piece.assign(**told, **({"scene": group.run} if group.run else {})))

@@ -37,16 +37,11 @@ def apart(text):
     return _BORDER.sub(" ", text)
 
 
-def word_set(text):
-    """The words of a text, folded."""
-    return frozenset(folded(text).split())
-
-
 @cache
 def words_for(meaning):
     """All words of a meaning in ``words.toml``, folded."""
     by_language = _WORDS.get(meaning) or {"": _WORDS["others"][meaning]}
-    return word_set(" ".join(by_language.values()))
+    return frozenset(folded(" ".join(by_language.values())).split())
 
 
 def n_known_words(text):

@@ -98,7 +98,7 @@ def _table_of(archive, path):
     entries = [e for e in archive.infolist() if not e.is_dir()]
     entries = [e for e in entries if not PurePosixPath(e.filename).name.startswith(".")]
     able = [e for e in entries if PurePosixPath(e.filename).suffix.lower() in _TABLES]
-    plain = [e for e in able if not _is_beside(e.filename)]
+    plain = [e for e in able if not _BESIDE & {*PurePosixPath(e.filename.lower()).parts[:-1]}]
     tables = [e for e in plain if not _ABOUT.fullmatch(PurePosixPath(e.filename).name)]
     tables = tables or plain or able
     if not tables:
@@ -116,10 +116,6 @@ def _table_of(archive, path):
         )  # fmt: skip
     (member,) = tables
     return member, [repr(e.filename) for e in entries if e is not member]
-
-
-def _is_beside(name):
-    return any(part.lower() in _BESIDE for part in PurePosixPath(name).parts[:-1])
 
 
 def _unpack(archive, member, file, path):

@@ -43,12 +43,7 @@ def _digest(path):
 
 
 def carry_out(staged, target):
-    """Carry a change out that was decided on, or what is still to be done of it.
-
-    Returns
-    -------
-    list of str
-        What is not ours and was kept.
+    """Carry a change out that was decided on, or the rest of it; what is not ours and was kept.
 
     Raises
     ------

@@ -72,13 +72,8 @@ def _is_figure(name):
 
 def write_mark(folder, mark):
     """Put a mark into a folder, whole."""
-    content = {
-        "schema": _SCHEMA,
-        "about": "Written by bsp-gp: the files here that it may replace. All others are yours.",
-        "kind": mark.kind,
-        "files": mark.files,
-        "beside": mark.beside,
-    }
+    about = "Written by bsp-gp: the files here that it may replace. All others are yours."
+    content = {"schema": _SCHEMA, "about": about, **vars(mark)}
     part = os.path.join(folder, f"{MARK}-part")
     with open(part, "w", encoding="utf-8") as file:
         file.write(json.dumps(content, indent=1, ensure_ascii=True) + "\n")

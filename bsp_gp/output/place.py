@@ -36,12 +36,7 @@ class Place:
     def fill(self, kind, overwrite=False):
         """Write the folder whole or not at all: a new one, which takes its place at the end.
 
-        Parameters
-        ----------
-        kind : str
-            Of the result.
-        overwrite : bool
-            Whether an older result of this kind may give way.
+        An older result of this kind may give way if `overwrite` is set.
 
         Yields
         ------
@@ -112,10 +107,7 @@ def _held(target, inputs):
 def whole_file(path):
     """Write a file whole or not at all: the path to write to, which takes its place at the end.
 
-    Parameters
-    ----------
-    path : path
-        What is there already is replaced; whether it may be is for the caller to check.
+    What is there already is replaced; whether it may be is for the caller to check.
 
     Yields
     ------

@@ -55,7 +55,7 @@ def discard(folder):
 
 
 def put_in_place(fresh, target):
-    """Give a filled and marked folder its place.
+    """Give a filled and marked folder its place; what was kept, by its path in the target.
 
     Parameters
     ----------
@@ -64,11 +64,6 @@ def put_in_place(fresh, target):
     target : Path
         Missing, an empty folder, or one with a mark, whose files give way. Whatever else it holds
         is there as well afterwards, and at every moment.
-
-    Returns
-    -------
-    list of str
-        What was kept, by its path in the target.
     """
     if not os.path.lexists(target):
         os.rename(fresh, target)

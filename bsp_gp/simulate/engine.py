@@ -45,11 +45,8 @@ class Contacts:
     has_contacts: bool = True
 
     def __post_init__(self):
-        for name, high in (
-            ("restitution", 1),
-            ("overlap_correction", 1),
-            ("surface_friction", np.inf),
-        ):
+        most = {"restitution": 1, "overlap_correction": 1, "surface_friction": np.inf}
+        for name, high in most.items():
             value = getattr(self, name)
             if not 0 <= value <= high:
                 raise SettingsError(f"{name} of contacts must be from 0 to {high}, got {value}")
@@ -87,16 +84,7 @@ class Motion:
 
 
 def run_pymunk(worlds, motion):
-    """Move worlds with pymunk.
-
-    Parameters
-    ----------
-    worlds : sequence of World
-        All of the same number of entities.
-
-    Returns
-    -------
-    States
+    """The `States` of worlds, all of as many entities, that are moved with pymunk.
 
     Raises
     ------
@@ -212,9 +200,8 @@ class _Space:
         # pymunk keeps (its bias)^h of an overlap.
         self.space.collision_bias = (1.0 - contacts.overlap_correction) ** (1.0 / h)
         self.batch = batch
-        self.moving = np.array(
-            [k for k, e in enumerate(world.entities) if not e.is_static], dtype=int
-        )
+        moving = [k for k, e in enumerate(world.entities) if not e.is_static]
+        self.moving = np.array(moving, dtype=int)
         self.placed = []
         for entity, place in zip(world.entities, world.positions, strict=True):
             self._add(pymunk, entity, tuple(place.tolist()), contacts)

@@ -188,7 +188,7 @@ class Perpendicular(Force):
         unit, factor = Unit.of(kg=1, s=-1), ""
         if self.column:
             unit = unit / PROPERTY_UNITS.get(self.column, DIMENSIONLESS)
-            factor = f"{short(self.column)}_i * "
+            factor = f"{SHORT.get(self.column, self.column)}_i * "
         return (f"{self.strength:.12g} [{unit.text()}] * {factor}perp(v_i)",)
 
     def on(self, bodies, p, v, t):
@@ -295,7 +295,7 @@ class PairForce(Force):
 
     @property
     def laws(self):
-        a = short(self.column)
+        a = SHORT.get(self.column, self.column)
         own = PROPERTY_UNITS.get(self.column, DIMENSIONLESS)
         unit = FORCE * Unit.of(m=1) ** self.power / own**2
         # A power that is no simple fraction has a unit that no text says exactly.
@@ -419,8 +419,3 @@ class PointSpring(Force):
         r = _norm(gap)
         size = self.stiffness * (1 - self.rest / np.where(r > 0, r, np.inf))
         return size[..., None] * gap
-
-
-def short(name):
-    """The name of a property in a law: m for mass, its own otherwise."""
-    return SHORT.get(name, name)

@@ -10,13 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from bsp_gp.errors import SettingsError
-from bsp_gp.simulate.forces import (
-    AnchorSpring,
-    MatFriction,
-    PairForce,
-    SoftContact,
-    UniformField,
-)
+from bsp_gp.simulate.forces import AnchorSpring, MatFriction, PairForce, SoftContact, UniformField
 from bsp_gp.simulate.world import World, disc, mat, point, wall
 
 Range = tuple[float, float]
@@ -127,13 +121,9 @@ def separate(rng, radii, place):
 def box(width, height, thickness, **properties):
     """Four walls around the origin with free space `width` x `height`, and their places."""
     x, y = (width + thickness) / 2, (height + thickness) / 2
-    long, tall = width + 2 * thickness, height + 2 * thickness
-    walls = [
-        wall("top", long, thickness, **properties),
-        wall("bottom", long, thickness, **properties),
-        wall("right", thickness, tall, **properties),
-        wall("left", thickness, tall, **properties),
-    ]
+    across, upright = (width + 2 * thickness, thickness), (thickness, height + 2 * thickness)
+    sizes = {"top": across, "bottom": across, "right": upright, "left": upright}
+    walls = [wall(name, *size, **properties) for name, size in sizes.items()]
     return walls, [(0.0, y), (0.0, -y), (x, 0.0), (-x, 0.0)]
 
 

@@ -13,13 +13,7 @@ from bsp_gp.data.scene import Dataset, Scene
 from bsp_gp.errors import SettingsError
 from bsp_gp.simulate.effects import Effect
 from bsp_gp.simulate.engine import Contacts, Motion, run_pymunk
-from bsp_gp.simulate.forces import (
-    AnchorSpring,
-    ContactDamping,
-    Force,
-    PairForce,
-    SoftContact,
-)
+from bsp_gp.simulate.forces import AnchorSpring, ContactDamping, Force, PairForce, SoftContact
 from bsp_gp.simulate.layouts import Bounce, Fall, Layout, Magnet, Mat, NBody, Pucks, Spring
 from bsp_gp.simulate.machines import MACHINES
 from bsp_gp.simulate.observation import Observation
@@ -190,12 +184,7 @@ of its declared model, which know of no hard contacts."""
 def preset(name, effects=(), **numbers):
     """Settings of a preset, with numbers of it changed.
 
-    Parameters
-    ----------
-    name : str
-        One of `PRESETS`.
-    **numbers
-        As for `configured`.
+    There are those in `PRESETS`; numbers are as for `configured`.
 
     Examples
     --------
@@ -258,10 +247,7 @@ def numbers_of(settings):
 def read_numbers(settings, texts):
     """Numbers for `configured` from texts: ``{"mass": "0.1..2", "n_bodies": "5"}``.
 
-    Parameters
-    ----------
-    texts : mapping of str to str
-        A number; ``a..b`` for a range; yes or no; ``none`` where that is a value.
+    A text is a number; ``a..b`` for a range; yes or no; ``none`` where that is a value.
     """
     known = numbers_of(settings)
     numbers = {}
@@ -329,10 +315,9 @@ def _seeded(settings, rng):
     """Settings whose random forces have seeds; those without any take nothing of the generator."""
     if not any(force.is_random for force in settings.forces):
         return settings
-    forces = [
+    return replace(settings, forces=tuple(
         replace(f, seed=int(rng.integers(2**31))) if f.is_random else f for f in settings.forces
-    ]
-    return replace(settings, forces=tuple(forces))
+    ))  # fmt: skip
 
 
 def _drawn(settings, stream):
@@ -408,16 +393,10 @@ def _dataset(settings, scenes, names):
     n_train = min(n_train, len(names) - 1)
     observation = settings.observation
     has_charge = any("charge" in e.properties for scene in scenes for e in scene.entities)
+    made = f"{len(names)} scenes of {settings.name}, moved by a physics engine"
     return Dataset(
-        settings.name,
-        scenes,
-        train=names[:n_train],
-        test=names[n_train:] if n_train else (),
-        units=UnitSystem.from_declared({**_SI, **({"charge": "C"} if has_charge else {})}),
-        up=settings.up,
-        noise=(observation.noise,) if observation.is_declared else None,
-        provenance={
-            "source": "made up",
-            "description": f"{len(names)} scenes of {settings.name}, moved by a physics engine",
-        },
-    )
+        settings.name, scenes, train=names[:n_train], test=names[n_train:] if n_train else (),
+        units=UnitSystem.from_declared(_SI | ({"charge": "C"} if has_charge else {})),
+        up=settings.up, noise=(observation.noise,) if observation.is_declared else None,
+        provenance={"source": "made up", "description": made},
+    )  # fmt: skip

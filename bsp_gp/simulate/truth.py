@@ -94,30 +94,21 @@ class Truth:
     def to_dict(self):
         """What ``truth.json`` holds."""
         touched = self.states.touched.any(axis=2)
+        effects = [
+            _record(effect) | {"parameters": dict(effect.parameters),
+                               "laws": [law for force in effect.forces for law in force.laws]}
+            for effect in self.effects
+        ]  # fmt: skip
+        scenes = [
+            {"name": name, "hidden": sorted(world.hidden),
+             "frames_with_contact": (np.flatnonzero(hit) + 1).tolist()}
+            for name, world, hit in zip(self.scenes, self.worlds, touched, strict=True)
+        ]  # fmt: skip
         return {
-            "schema": 1,
-            "name": self.name,
-            "declared": list(self.declared),
-            "acting": list(self.acting),
-            "unsaid": list(self.unsaid),
-            "effects": [
-                {
-                    **_record(effect),
-                    "parameters": dict(effect.parameters),
-                    "laws": [law for force in effect.forces for law in force.laws],
-                }
-                for effect in self.effects
-            ],
-            "settings": _record(self.settings),
-            "scenes": [
-                {
-                    "name": name,
-                    "hidden": sorted(world.hidden),
-                    "frames_with_contact": (np.flatnonzero(hit) + 1).tolist(),
-                }
-                for name, world, hit in zip(self.scenes, self.worlds, touched, strict=True)
-            ],
-        }
+            "schema": 1, "name": self.name, "declared": list(self.declared),
+            "acting": list(self.acting), "unsaid": list(self.unsaid), "effects": effects,
+            "settings": _record(self.settings), "scenes": scenes,
+        }  # fmt: skip
 
 
 def _record(value):
@@ -139,12 +130,8 @@ def _record(value):
 def fill_truth(truth, folder, pixels=None, seed=None):
     """Write ``truth.json`` and ``states.csv`` (exact states, with contacts) into an empty folder.
 
-    Parameters
-    ----------
-    pixels : DataFrame, optional
-        Where bodies are in the frames of films; written as ``pixels.csv``.
-    seed : int, optional
-        Of the generator that the data were made with, for the record.
+    `pixels` (a DataFrame), where bodies are in the frames of films, goes into ``pixels.csv``; the
+    seed of the generator is for the record.
     """
     text = json.dumps(
         {"seed": seed, **truth.to_dict()}, indent=1, ensure_ascii=False, allow_nan=False
@@ -159,21 +146,14 @@ def _states_table(truth):
     import pandas as pd
 
     states = truth.states
-    n_scenes, n_times, n_entities = states.positions.shape[:3]
-    names = [entity.name for world in truth.worlds for entity in world.entities]
-    per_scene = np.array(names, dtype=object).reshape(n_scenes, 1, n_entities)
-    touched = np.zeros((n_scenes, n_times, n_entities), dtype=int)
+    shape = states.positions.shape[:3]  # scenes, times, entities
+    names = np.array([[entity.name for entity in world.entities] for world in truth.worlds], object)
+    touched = np.zeros(shape, dtype=int)
     touched[:, 1:] = states.touched
-    shape = (n_scenes, n_times, n_entities)
-    return pd.DataFrame(
-        {
-            "scene": np.repeat(np.array(truth.scenes, dtype=object), n_times * n_entities),
-            "t": np.broadcast_to(states.times[None, :, None], shape).ravel(),
-            "entity": np.broadcast_to(per_scene, shape).ravel(),
-            "x": states.positions[..., 0].ravel(),
-            "y": states.positions[..., 1].ravel(),
-            "vx": states.velocities[..., 0].ravel(),
-            "vy": states.velocities[..., 1].ravel(),
-            "touched": touched.ravel(),
-        }
-    )
+    columns = {
+        "scene": np.array(truth.scenes, dtype=object)[:, None, None],
+        "t": states.times[:, None], "entity": names[:, None],
+        "x": states.positions[..., 0], "y": states.positions[..., 1],
+        "vx": states.velocities[..., 0], "vy": states.velocities[..., 1], "touched": touched,
+    }  # fmt: skip
+    return pd.DataFrame({k: np.broadcast_to(v, shape).ravel() for k, v in columns.items()})

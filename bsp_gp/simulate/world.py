@@ -15,9 +15,8 @@ def _known(properties):
 
 def disc(name, radius, mass, **properties):
     """A body that moves: a disc with a mass in kg and further properties."""
-    return Entity(
-        name, "disc", radius=float(radius), properties=_known({"mass": mass, **properties})
-    )
+    properties = _known({"mass": mass, **properties})
+    return Entity(name, "disc", radius=float(radius), properties=properties)
 
 
 def point(name, **properties):
@@ -27,18 +26,17 @@ def point(name, **properties):
 
 def wall(name, width, height, **properties):
     """A rectangle that discs bounce off; it does not move."""
-    return Entity(
-        name, "rect_wall", width=float(width), height=float(height), is_static=True,
-        properties=_known(properties),
-    )  # fmt: skip
+    return _rectangle(name, "rect_wall", width, height, properties)
 
 
 def mat(name, width, height, friction, **properties):
     """A rectangle that discs slide over, with a friction coefficient."""
-    return Entity(
-        name, "rect_mat", width=float(width), height=float(height), is_static=True,
-        properties=_known({"friction": friction, **properties}),
-    )  # fmt: skip
+    return _rectangle(name, "rect_mat", width, height, {"friction": friction, **properties})
+
+
+def _rectangle(name, shape, width, height, properties):
+    size = {"width": float(width), "height": float(height)}
+    return Entity(name, shape, **size, is_static=True, properties=_known(properties))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +91,10 @@ class World:
     def joined_by(self, entity, position, velocity=(0.0, 0.0), *, is_hidden=False):
         """The same world with one more entity."""
         return World(
-            (*self.entities, entity),
-            np.vstack([self.positions, [position]]),
+            (*self.entities, entity), np.vstack([self.positions, [position]]),
             np.vstack([self.velocities, [velocity]]),
             self.hidden | ({entity.name} if is_hidden else frozenset()),
-        )
+        )  # fmt: skip
 
     def with_property(self, name, values):
         """The same world with a further property of its moving bodies, in order."""

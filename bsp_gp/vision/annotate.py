@@ -19,8 +19,7 @@ def annotate_frame(image, track, row, regions=()):
     for region in regions:
         left, top, right, bottom = (int(round(v)) for v in region.box)
         cv2.rectangle(picture, (left, top), (right, bottom), (0, 0, 0), 1, cv2.LINE_AA)
-        cv2.putText(picture, region.colour, (left + 3, top + 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4,
-                    (0, 0, 0), 1, cv2.LINE_AA)  # fmt: skip
+        _write(picture, region.colour, (left + 3, top + 14), 0.4, (0, 0, 0))
     for k, name in enumerate(track.names):
         colour = PALETTE[k % len(PALETTE)]
         tail = track.positions[max(row - TAIL, 0) : row + 1, k]
@@ -42,16 +41,18 @@ def annotate_frame(image, track, row, regions=()):
         if np.isfinite(radius):
             cv2.circle(picture, (x, y), int(round(radius)), colour, 1, cv2.LINE_AA)
         _label(picture, name, place, colour)
-    cv2.putText(picture, f"{track.frames[row]}", (6, picture.shape[0] - 8),
-                cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 255), 1, cv2.LINE_AA)  # fmt: skip
+    _write(picture, f"{track.frames[row]}", (6, picture.shape[0] - 8), 0.5, (0, 0, 255))
     return picture
+
+
+def _write(picture, text, spot, size, colour, width=1):
+    cv2.putText(picture, text, spot, cv2.FONT_HERSHEY_SIMPLEX, size, colour, width, cv2.LINE_AA)
 
 
 def _label(picture, text, place, colour):
     spot = (int(round(place[0])) + 8, int(round(place[1])) - 8)
-    cv2.putText(picture, text, spot, cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 3,
-                cv2.LINE_AA)  # fmt: skip
-    cv2.putText(picture, text, spot, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
+    _write(picture, text, spot, 0.45, (255, 255, 255), 3)
+    _write(picture, text, spot, 0.45, colour)
 
 
 def write_annotated(video, track, path, regions=()):

@@ -14,7 +14,7 @@ import numpy as np
 
 from bsp_gp.errors import SettingsError
 from bsp_gp.vision.colour import background
-from bsp_gp.vision.track import Track
+from bsp_gp.vision.track import NOWHERE, last_frame, track_of, walk
 
 THRESHOLDS = (0.4, 0.5, 0.6)
 DARK = 40.0  # mean of the three channels: darker pixels have no colour
@@ -91,23 +91,22 @@ def _coverage(image, own, behind, settings):
 
 
 def _outline(share, threshold, overshoot, near, settings):
-    """Convex hull of the patch nearest to `near`: moments, or None."""
+    """Centre and area of the convex hull of the patch nearest to `near`, or None."""
     # A hand: patches beyond the object's colour, with their softer rim.
     other = cv2.morphologyEx((share > overshoot).astype(np.uint8), cv2.MORPH_OPEN, _square(7))
     mask = ((share > threshold) & (cv2.dilate(other, _square(9)) == 0)).astype(np.uint8)
     mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, _square(7))
     mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _square(15))
     count, labels, stats, centroids = cv2.connectedComponentsWithStats(mask)
-    best, choice = None, None
+    scores = {}
     for label in range(1, count):
         area = stats[label][4]
         far = np.hypot(*(centroids[label] - near))
         if area >= settings.least and far < settings.reach:
-            score = area * np.exp(-0.5 * (far / (0.5 * settings.reach)) ** 2)
-            if best is None or score > best:
-                best, choice = score, label
-    if choice is None:
+            scores[label] = area * np.exp(-0.5 * (far / (0.5 * settings.reach)) ** 2)
+    if not scores:
         return None
+    choice = max(scores, key=scores.get)
     contours, _ = cv2.findContours(
         (labels == choice).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
     )
@@ -115,30 +114,23 @@ def _outline(share, threshold, overshoot, near, settings):
     moments = cv2.moments(hull)
     if moments["m00"] <= 0:
         return None
-    centre = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
-    return centre, moments["m00"], hull
+    return np.array([moments["m10"], moments["m01"]]) / moments["m00"], moments["m00"]
 
 
 def _outlines(image, near, own, other, behind, settings):
     """Outlines of the object at all thresholds, in a window around `near`; None where none is."""
     span = settings.reach + 2 * np.sqrt(settings.box[2] * settings.box[3])
-    height, width = image.shape[:2]
-    left, top = (
-        int(np.clip(c - span, 0, n - 2)) for c, n in zip(near, (width, height), strict=True)
-    )
-    right, bottom = (
-        int(np.clip(c + span, a + 2, n))
-        for c, a, n in zip(near, (left, top), (width, height), strict=True)
-    )
-    window = np.s_[top:bottom, left:right]
+    size = np.array(image.shape[1::-1])
+    corner = np.clip(near - span, 0, size - 2).astype(int)
+    right, bottom = np.clip(near + span, corner + 2, size).astype(int)
+    window = np.s_[corner[1] : bottom, corner[0] : right]
     patch = cv2.GaussianBlur(image[window], (0, 0), settings.blur)
     share = _coverage(patch, own, other[window] if other.ndim == 3 else other, settings)
     if behind is not None:
         change = cv2.absdiff(patch, behind[window]).astype(np.int32).sum(axis=2)
         share = np.where(change > settings.contrast, share, 0.0)
-    corner = np.array([left, top], dtype=float)
     found = [_outline(share, t, settings.overshoot, near - corner, settings) for t in THRESHOLDS]
-    return [None if f is None else (f[0] + corner, f[1], f[2] + corner) for f in found]
+    return [None if f is None else (f[0] + corner, f[1]) for f in found]
 
 
 def track_blob(video, name, settings, first=0, last=None):
@@ -155,7 +147,7 @@ def track_blob(video, name, settings, first=0, last=None):
     SettingsError
         The frame or the box lies outside of the video.
     """
-    last = video.n_frames - 1 if last is None else min(last, video.n_frames - 1)
+    last = last_frame(video, last)
     if not first <= settings.frame <= last:
         raise SettingsError(f"the frame of the box must be {first}..{last}, got {settings.frame}")
     behind = None
@@ -174,45 +166,24 @@ def track_blob(video, name, settings, first=0, last=None):
     else:
         ring = image[max(y - 2 * height, 0) : y + 3 * height, max(x - 3 * width, 0) : x + 4 * width]
         other = np.median(chromaticity(ring, settings.cue)[0].reshape(-1, channels), axis=0)
+
+    def step(picture, predicted):
+        outlines = _outlines(picture, predicted, own, other, behind, settings)
+        if outlines[1] is None:
+            return (*NOWHERE, "no patch of its colour near its predicted place", np.nan)
+        place, area = outlines[1]
+        off = np.array([outline[0] for outline in outlines if outline is not None]) - place
+        covariance = np.eye(2) * (0.2**2) + off.T @ off / max(len(off) - 1, 1)
+        return place, covariance, np.sqrt(np.mean(np.sum(off**2, axis=1))), "", area
+
     start = np.array([x + width / 2, y + height / 2])
-    found = {}
-    # Only the frames before the marked one are kept in memory, to be run through backwards.
-    before = reversed(list(video.frames(first, settings.frame + 1)))
-    for images in (before, video.frames(settings.frame, last + 1)):
-        place, velocity = start, np.zeros(2)
-        for frame, picture in images:
-            outlines = _outlines(picture, place + velocity, own, other, behind, settings)
-            found[frame] = outlines
-            if outlines[1] is not None:
-                new = outlines[1][0]
-                velocity = new - place if frame != settings.frame else np.zeros(2)
-                place = new
-            else:
-                place = place + velocity
-    return _gathered(video, name, found)
+    return _gathered(video, name, walk(video, settings.frame, first, last, start, step))
 
 
 def _gathered(video, name, found):
-    frames = sorted(found)
-    positions = np.full((len(frames), 1, 2), np.nan)
-    covariances = np.full((len(frames), 1, 2, 2), np.nan)
-    rms = np.full((len(frames), 1), np.nan)
-    area = np.full(len(frames), np.nan)
-    reasons = []
-    for k, frame in enumerate(frames):
-        if found[frame][1] is None:
-            reasons.append((frame, name, "no patch of its colour near its predicted place"))
-            continue
-        centres = np.array([o[0] for o in found[frame] if o is not None])
-        positions[k, 0] = found[frame][1][0]
-        off = centres - positions[k, 0]
-        rms[k, 0] = np.sqrt(np.mean(np.sum(off**2, axis=1)))
-        area[k] = found[frame][1][1]
-        covariances[k, 0] = np.eye(2) * (0.2**2) + off.T @ off / max(len(off) - 1, 1)
+    area = np.array([found[frame][4] for frame in sorted(found)])
     known = area[np.isfinite(area)]
     typical = float(np.median(known)) if len(known) else 1.0
-    seen = (area / (typical or 1.0))[:, None]
-    return Track(
-        (name,), np.array(frames), video.fps, positions, covariances, rms, np.minimum(seen, 1.0),
-        tuple(reasons), {name: "patch of one chromaticity"}, {name: float("nan")}, "px",
-    )  # fmt: skip
+    seen = np.minimum(area / (typical or 1.0), 1.0)
+    kind = "patch of one chromaticity"
+    return track_of(video, name, found, kind, "px", lossy=True, seen=seen)

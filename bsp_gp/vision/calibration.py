@@ -62,20 +62,14 @@ class Calibration:
             a = a.conjugate()  # y of the picture points down
             if abs(a) == 0 or abs(b) == 0:
                 raise SettingsError("the two known points are at one place")
-            ratio = b / a
-            flip = np.diag([1.0, -1.0, 1.0])
-            turn = np.array(
-                [[ratio.real, -ratio.imag, 0.0], [ratio.imag, ratio.real, 0.0], [0.0, 0.0, 1.0]]
-            )
-            matrix = turn @ flip
-            offset = world[0] - (matrix @ [*pixels[0], 1.0])[:2]
-            matrix[:2, 2] += offset
+            turn = b / a
+            matrix = np.diag([0.0, 0.0, 1.0])
+            matrix[:2, :2] = [[turn.real, turn.imag], [turn.imag, -turn.real]]
+            matrix[:2, 2] = world[0] - matrix[:2, :2] @ pixels[0]
             return cls(matrix, unit, 0.0)
         if len(pixels) < 4:
-            raise SettingsError(
-                f"give two known points (scale and axes) or four and more (a tilted plane), "
-                f"got {len(pixels)}"
-            )
+            problem = "give two known points (scale and axes) or four and more (a tilted plane)"
+            raise SettingsError(f"{problem}, got {len(pixels)}")
         matrix, _ = cv2.findHomography(pixels, world)
         if matrix is None or np.linalg.matrix_rank(pixels - pixels.mean(axis=0)) < 2:
             raise SettingsError("the known points lie in one line")

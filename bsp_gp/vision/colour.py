@@ -34,7 +34,7 @@ def is_colour(image, colour, tolerance):
 
 
 def coverage(image, colour, surround):
-    """Share of each pixel that is covered by an object of one colour.
+    """Share of each pixel that is covered by an object of one colour, (h, w), float32, 0..1.
 
     A pixel on an edge is a mixture a F + (1 - a) O of the object's colour F and what surrounds
     it, O; hence |I - F| = (1 - a) |O - F|, which is solved for a.
@@ -44,10 +44,6 @@ def coverage(image, colour, surround):
     image : ndarray, shape (h, w, 3), uint8
     colour, surround : ndarray, shape (3,) or (for surround) (h, w, 3)
         F and O, BGR.
-
-    Returns
-    -------
-    ndarray, shape (h, w), float32, 0..1
     """
     colour = np.asarray(colour, dtype=np.float32)
     difference = image.astype(np.float32) - colour

@@ -7,6 +7,7 @@ predictions at once (least total squared distance).
 
 import logging
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -57,15 +58,14 @@ class DiscTracker:
         self.video = video
         self.sample_frames, self.samples = video.sample(N_SAMPLES)
         self.behind, _ = background(self.samples)
-        self.kinds = self._learn(colours, radius, counts or {})
+        counts = counts or {}
+        self.kinds = self._learn(colours, radius, counts)
         self.found = [
             {name: self._verified(image, kind) for name, kind in self.kinds.items()}
             for image in self.samples
         ]
-        self.counts = {
-            name: (counts or {}).get(name, self._usual([len(f[name]) for f in self.found]))
-            for name in self.kinds
-        }
+        usual = {name: self._usual([len(f[name]) for f in self.found]) for name in self.kinds}
+        self.counts = {name: counts.get(name, usual[name]) for name in self.kinds}
         if not any(self.counts.values()):
             raise DataError(
                 f"most frames show no disc of the kind {' or '.join(self.counts)}",
@@ -87,8 +87,6 @@ class DiscTracker:
             raise failures[(missing or list(failures))[0]]
         for name in failures:
             log.info("no disc of the kind %s in %s", name, self.video.path.name)
-        # Discs of one size: a kind that is seldom free-standing borrows nothing, its own fit is
-        # used; but a patch of half the usual size is no disc of this set.
         return kinds
 
     def _verified(self, image, kind):
@@ -116,7 +114,7 @@ class DiscTracker:
         settled = self._restarted(before, bodies)
         after = self._follow(settled, self.video.frames(start, last + 1))
         placed = {**before, **after}
-        return self._gathered([b.name for b in bodies], bodies, placed, sorted(placed))
+        return self._gathered(bodies, placed)
 
     def _anchor(self, first, last):
         best, choice = -np.inf, None
@@ -125,24 +123,16 @@ class DiscTracker:
                 continue
             exact = sum(len(found[n]) == self.counts[n] for n in self.kinds)
             fits = [f for n in self.kinds for f in found[n]]
-            apart = min(
-                (
-                    np.hypot(*(a.position - b.position))
-                    for i, a in enumerate(fits)
-                    for b in fits[:i]
-                ),
-                default=100.0,
-            )
+            gaps = [np.hypot(*(a.position - b.position)) for a, b in combinations(fits, 2)]
             # Free-standing discs are named safely; early frames keep the backward run short.
-            score = exact + min(apart, 100.0) / 1000 - 1e-2 * k / len(self.samples)
+            score = exact + min([*gaps, 100.0]) / 1000 - 1e-2 * k / len(self.samples)
             if score > best:
                 best, choice = score, k
         if choice is None or best < len(self.kinds) - 0.5:
             raise DataError(
-                f"no sampled frame shows all of {self.counts} at once",
-                file=self.video.path,
+                f"no sampled frame shows all of {self.counts} at once", file=self.video.path,
                 remedy="give how many discs of each colour there are",
-            )
+            )  # fmt: skip
         return choice
 
     def _start(self, anchor):
@@ -158,31 +148,21 @@ class DiscTracker:
     @staticmethod
     def _restarted(before, bodies):
         """Bodies at the anchor again, with the velocity that the backward run measured."""
-        frames = sorted(before)
-        start = frames[-1]
+        earlier, now = (before[frame] for frame in (2 * sorted(before))[-2:])
         again = []
-        for k, body in enumerate(bodies):
-            here = before[start][k].position
-            earlier = before[frames[-2]][k].position if len(frames) > 1 else here
-            velocity = here - earlier
-            ok = np.all(np.isfinite(velocity))
-            again.append(
-                replace(
-                    body,
-                    place=here if np.all(np.isfinite(here)) else body.place,
-                    velocity=velocity if ok else np.zeros(2),
-                )
-            )
+        for body, old, new in zip(bodies, earlier, now, strict=True):
+            place, velocity = new.position, new.position - old.position
+            place = place if np.all(np.isfinite(place)) else body.place
+            velocity = velocity if np.all(np.isfinite(velocity)) else np.zeros(2)
+            again.append(replace(body, place=place, velocity=velocity))
         return again
 
     def _follow(self, bodies, images):
         bodies = [replace(b) for b in bodies]
-        placed, start = {}, True
+        placed = {}
+        for body in bodies:  # at the anchor the place is known, the velocity is not yet
+            body.place = body.place - body.velocity
         for frame, image in images:
-            if start:  # at the anchor the place is known, the velocity is not yet
-                for body in bodies:
-                    body.place = body.place - body.velocity
-                start = False
             fits = self._measure(image, bodies)
             for body, fit in zip(bodies, fits, strict=True):
                 if fit.reason:
@@ -200,24 +180,19 @@ class DiscTracker:
         reach = [self.kinds[b.kind_name].reach for b in bodies]
         centres = [b.predicted for b in bodies]
 
-        def others(k):
-            return [(*centres[j], reach[j]) for j in range(len(bodies)) if j != k]
+        def others(k, of_kind=None):
+            return [(*centres[j], reach[j]) for j, other in enumerate(bodies)
+                    if j != k and of_kind in (None, other.kind_name)]  # fmt: skip
 
         def alike(k):
-            return [
-                (*centres[j], reach[j])
-                for j, other in enumerate(bodies)
-                if j != k and other.kind_name == bodies[k].kind_name
-            ]
+            return others(k, bodies[k].kind_name)
 
         fits, lost = [None] * len(bodies), []
         for k, body in enumerate(bodies):
             fits[k] = place(image, self.kinds[body.kind_name], centres[k], others(k), self.behind)
             if fits[k].reason or np.hypot(*(fits[k].position - body.predicted)) > NEAR:
                 lost.append(k)
-        for k, fit in enumerate(fits):
-            if k not in lost:
-                centres[k] = fit.position
+        centres = [c if k in lost else fits[k].position for k, c in enumerate(centres)]
         if not lost and not self._touching(centres, reach):
             return fits
         absent = set()
@@ -279,42 +254,34 @@ class DiscTracker:
         for kind_name in {b.kind_name for b in bodies}:
             same = [k for k, b in enumerate(bodies) if b.kind_name == kind_name]
             if len(same) > 1:
-                cost = [
-                    [np.sum((centres[j] - bodies[k].predicted) ** 2) for j in same] for k in same
-                ]
+                predicted = [bodies[k].predicted for k in same]
+                cost = [[np.sum((centres[j] - p) ** 2) for j in same] for p in predicted]
                 _, columns = linear_sum_assignment(np.array(cost))
                 spots = [centres[same[c]] for c in columns]
                 for k, spot in zip(same, spots, strict=True):
                     centres[k] = spot
         return centres
 
-    def _gathered(self, names, bodies, placed, frames):
-        rows = [[fit for fit in placed[f]] for f in frames]
+    def _gathered(self, bodies, placed):
+        frames, names = sorted(placed), tuple(body.name for body in bodies)
+        rows = [placed[frame] for frame in frames]
         reasons = tuple(
-            (f, name, fit.reason)
-            for f, row in zip(frames, rows, strict=True)
-            for name, fit in zip(names, row, strict=True)
-            if fit.reason
-        )
+            (frame, name, fit.reason) for frame, row in zip(frames, rows, strict=True)
+            for name, fit in zip(names, row, strict=True) if fit.reason
+        )  # fmt: skip
+
+        def table(attribute):
+            return np.array([[getattr(fit, attribute) for fit in row] for row in rows])
+
         # One frame says little about the clustering of pixel errors, the whole track much.
-        clustering = np.array([[fit.clustering for fit in row] for row in rows])
-        known = np.array([[not fit.reason for fit in row] for row in rows])
-        wider = np.array(
-            [
-                max(c[k].mean(), 0.2) if k.any() else 1.0
-                for c, k in zip(clustering.T, known.T, strict=True)
-            ]
-        )
+        known = table("reason") == ""
+        wider = np.array([
+            max(c[k].mean(), 0.2) if k.any() else 1.0
+            for c, k in zip(table("clustering").T, known.T, strict=True)
+        ])  # fmt: skip
         return Track(
-            tuple(names),
-            np.array(frames, dtype=int),
-            self.video.fps,
-            np.array([[fit.position for fit in row] for row in rows]),
-            np.array([[fit.covariance for fit in row] for row in rows]) * wider[:, None, None],
-            np.array([[fit.rms for fit in row] for row in rows]),
-            np.array([[fit.seen for fit in row] for row in rows]),
-            reasons,
+            names, np.array(frames, dtype=int), self.video.fps, table("position"),
+            table("covariance") * wider[:, None, None], table("rms"), table("seen"), reasons,
             {b.name: f"disc, colour {b.kind_name}" for b in bodies},
-            {b.name: self.kinds[b.kind_name].reach for b in bodies},
-            lossy=self.video.is_lossy,
-        )
+            {b.name: self.kinds[b.kind_name].reach for b in bodies}, lossy=self.video.is_lossy,
+        )  # fmt: skip

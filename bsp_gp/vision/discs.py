@@ -6,6 +6,7 @@ left out, so that a touching or half-hidden disc is placed by the arc that is se
 covariance that is wide across the hidden direction.
 """
 
+import itertools
 from dataclasses import dataclass, replace
 
 import cv2
@@ -22,8 +23,12 @@ MIN_GAIN = 0.15  # of the disc's area must show its colour
 MAX_RMS = 0.3  # rms misfit of coverage on the visible edge: more is no disc
 _MOVED = 60  # sum of the changes of three channels from which on a pixel has moved
 EDGE = 3.5  # half-widths of the edge used in the fit
+EDGES = (0.35, 0.5, 0.7, 0.9, 1.2, 1.5, 2.0, 2.5)  # px: widths that are tried
 SLACK = 2.5  # px: how far off the start of a fit may be
 SECTORS = 4
+MOST, LEAST = 12, 0.35  # discs of a kind that are looked for, and the share of one that shows
+TOLERANCE = 90.0  # pixels nearer to the colour than this belong to it in the coarse search
+ITERATIONS = 8
 STEADY = 60.0  # median spread of an outline's colour, grey levels
 MARGIN = 0.5  # px kept free around another disc, beyond three widths of the blurred edge
 
@@ -44,8 +49,6 @@ class DiscKind:
         Radius up to which the disc hides what is behind it (with its outline), px.
     surround : ndarray, shape (3,), or None
         Colour of the outline; None: the background is what surrounds the disc.
-    tolerance : float
-        Pixels nearer to the colour than this belong to it in the coarse search.
     """
 
     colour: np.ndarray
@@ -53,7 +56,6 @@ class DiscKind:
     edge: float = 0.7
     reach: float = 0.0
     surround: np.ndarray | None = None
-    tolerance: float = 90.0
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,12 @@ def _kernel(radius):
     return np.clip(radius + 0.5 - np.hypot(x, y), 0, 1).astype(np.float32)
 
 
-def find_discs(image, kind, most=12, at_least=0.35):
+def _score(image, kind):
+    """1 where pixels are of a disc's colour, -1 elsewhere."""
+    return is_colour(image, kind.colour, TOLERANCE).astype(np.float32) * 2 - 1
+
+
+def find_discs(image, kind):
     """Find the discs of one kind in one image, without knowing how many there are.
 
     The score of a place is the share of the disc's area that shows its colour, minus the share
@@ -96,16 +103,15 @@ def find_discs(image, kind, most=12, at_least=0.35):
     list of (float, float)
         Centres, px, to a few pixels; best first.
     """
-    small = image[SCALE // 2 :: SCALE, SCALE // 2 :: SCALE]
-    score = is_colour(small, kind.colour, kind.tolerance).astype(np.float32) * 2 - 1
+    score = _score(image[SCALE // 2 :: SCALE, SCALE // 2 :: SCALE], kind)
     kernel = _kernel(kind.radius / SCALE)
     area = kernel.sum()
     y, x = np.mgrid[: score.shape[0], : score.shape[1]]
     found = []
-    while len(found) < most:
+    while len(found) < MOST:
         gain = cv2.filter2D(score, -1, kernel, borderType=cv2.BORDER_CONSTANT)
         row, column = np.unravel_index(np.argmax(gain), gain.shape)
-        if gain[row, column] < at_least * area:
+        if gain[row, column] < LEAST * area:
             break
         found.append((column * SCALE + SCALE // 2, row * SCALE + SCALE // 2))
         taken = np.hypot(x - column, y - row) < (kind.reach or kind.radius) / SCALE + 0.5
@@ -136,7 +142,7 @@ def follow(image, kind, predicted, others, search=SEARCH):
     patch = image[y0 : max(top + 2 * span + 1, 0) : SCALE, x0 : max(left + 2 * span + 1, 0) : SCALE]
     if patch.size == 0:
         return tuple(predicted), 0.0
-    score = is_colour(patch, kind.colour, kind.tolerance).astype(np.float32) * 2 - 1
+    score = _score(patch, kind)
     y, x = np.mgrid[: score.shape[0], : score.shape[1]]
     y, x = y * SCALE + y0, x * SCALE + x0
     for cx, cy, reach in others:
@@ -148,7 +154,7 @@ def follow(image, kind, predicted, others, search=SEARCH):
     return (float(x[best]), float(y[best])), float(gain[best])
 
 
-def place(image, kind, start, others, behind=None, iterations=8):
+def place(image, kind, start, others, behind=None):
     """Place a disc to a fraction of a pixel by least squares on the coverage of its edge.
 
     The model of the coverage at distance d from the centre is (1 - erf((d - R)/(s sqrt 2)))/2,
@@ -195,7 +201,7 @@ def place(image, kind, start, others, behind=None, iterations=8):
     pixels = image[py, px][:, None]
     surround = kind.surround if kind.surround is not None else behind[py, px][:, None]
     measured = coverage(pixels, kind.colour, surround)[:, 0].astype(float)
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         dx, dy = px - centre[0], py - centre[1]
         d = np.maximum(np.sqrt(dx * dx + dy * dy), 1e-9)  # the centre itself may be a pixel
         u = (d - kind.radius) / kind.edge
@@ -250,14 +256,13 @@ def _profile(images, kind, centres):
         pixels = near[inside]
         for k in range(len(bins)):
             samples[k].append(pixels[index == k])
-    colours, spreads = [], []
-    for parts in samples:
-        pixels = np.concatenate(parts).astype(float) if parts else np.empty((0, 3))
-        colours.append(np.median(pixels, axis=0) if len(pixels) else np.full(3, np.nan))
-        spreads.append(
-            np.median(np.linalg.norm(pixels - colours[-1], axis=1)) if len(pixels) else np.nan
-        )
-    return bins, np.array(colours), np.array(spreads)
+    colours, spreads = np.full((len(bins), 3), np.nan), np.full(len(bins), np.nan)
+    for k, parts in enumerate(samples):
+        pixels = np.concatenate(parts).astype(float)
+        if len(pixels):
+            colours[k] = np.median(pixels, axis=0)
+            spreads[k] = np.median(np.linalg.norm(pixels - colours[k], axis=1))
+    return bins, colours, spreads
 
 
 def _moving_colour(images):
@@ -273,7 +278,7 @@ def _moving_colour(images):
     return f"; what moves there is #{red:02x}{green:02x}{blue:02x}"
 
 
-def calibrate_kind(images, colour, radius=None, tolerance=90.0, behind=None):
+def calibrate_kind(images, colour, radius=None, behind=None):
     """Learn what the discs of one colour look like from sample images.
 
     Parameters
@@ -292,7 +297,7 @@ def calibrate_kind(images, colour, radius=None, tolerance=90.0, behind=None):
     """
     patches = []
     for k, image in enumerate(images):
-        mask = is_colour(image, colour, tolerance).astype(np.uint8)
+        mask = is_colour(image, colour, TOLERANCE).astype(np.uint8)
         count, labels, stats, centroids = cv2.connectedComponentsWithStats(mask)
         for label in range(1, count):
             left, top, wide, high, area = stats[label]
@@ -316,7 +321,7 @@ def calibrate_kind(images, colour, radius=None, tolerance=90.0, behind=None):
     fill = np.median(
         np.concatenate([images[k][m][::7] for k, _, _, m in patches]).astype(float), axis=0
     ).astype(np.float32)
-    kind = DiscKind(fill, typical, tolerance=tolerance)
+    kind = DiscKind(fill, typical)
     return _edge_fitted([images[p[0]] for p in patches], kind, [p[1] for p in patches], behind)
 
 
@@ -345,13 +350,11 @@ def _edge_fitted(images, kind, centres, behind):
     alpha = np.clip(1 - contrast / whole, 0, 1)
     use = (bins > kind.radius - 6) & (bins < min(reach if surround is not None else 1e9,
                                                 kind.radius + 6))  # fmt: skip
-    best = None
-    for radius in np.arange(kind.radius - 2, kind.radius + 2.01, 0.1):
-        for edge in (0.35, 0.5, 0.7, 0.9, 1.2, 1.5, 2.0, 2.5):
-            model = 0.5 * (1 - erf((bins[use] - radius) / (edge * np.sqrt(2))))
-            loss = np.sum((alpha[use] - model) ** 2)
-            if best is None or loss < best[0]:
-                best = (loss, float(radius), edge)
-    return replace(
-        kind, radius=best[1], edge=best[2], surround=surround, reach=max(reach, best[1] + 1)
-    )
+
+    def loss(radius, edge):
+        model = 0.5 * (1 - erf((bins[use] - radius) / (edge * np.sqrt(2))))
+        return np.sum((alpha[use] - model) ** 2)
+
+    radii = np.arange(kind.radius - 2, kind.radius + 2.01, 0.1).tolist()
+    radius, edge = min(itertools.product(radii, EDGES), key=lambda each: loss(*each))
+    return replace(kind, radius=radius, edge=edge, surround=surround, reach=max(reach, radius + 1))

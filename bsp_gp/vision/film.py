@@ -16,13 +16,10 @@ from bsp_gp.errors import OutputError, SettingsError
 from bsp_gp.output.place import claim
 
 # Okabe and Ito's colours, red-green-blue, and greys for what does not move.
-_COLOURS = np.array(
-    [
-        (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167),
-        (230, 159, 0), (86, 180, 233), (0, 0, 0),
-    ],
-    dtype=float,
-)  # fmt: skip
+_COLOURS = np.array([
+    (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233),
+    (0, 0, 0),
+], dtype=float)  # fmt: skip
 _GREYS = {"rect_wall": (150.0, 150.0, 150.0), "rect_mat": (222.0, 222.0, 222.0)}
 _ANCHOR = (90.0, 90.0, 90.0)
 _MAX_PIXELS = 40_000_000
@@ -115,9 +112,8 @@ class Look:
         if not 0 <= self.exposure <= 1:
             raise SettingsError(f"exposure must be from 0 to 1, got {self.exposure}")
         if self.n_exposures < 1 or min(self.blur, self.noise) < 0 or self.least_radius <= 0:
-            raise SettingsError(
-                "n_exposures and least_radius must be positive, blur and noise >= 0"
-            )
+            problem = "n_exposures and least_radius must be positive, blur and noise >= 0"
+            raise SettingsError(problem)
         if self.quality is not None and not 1 <= self.quality <= 100:
             raise SettingsError(f"quality must be from 1 to 100, got {self.quality}")
         if not 0 <= self.background <= 255:
@@ -184,9 +180,8 @@ def _frame(entities, places, camera, look, rng):
         picture = picture + look.noise * rng.standard_normal(picture.shape)
     picture = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
     if look.quality is not None:
-        ok, data = cv2.imencode(
-            ".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, look.quality]
-        )
+        how = [cv2.IMWRITE_JPEG_QUALITY, look.quality]
+        ok, data = cv2.imencode(".jpg", picture[..., ::-1], how)
         if not ok:
             raise OutputError("OpenCV cannot write JPEG here")
         picture = cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
@@ -196,12 +191,12 @@ def _frame(entities, places, camera, look, rng):
 def _drawn(entities, places, camera, look):
     """One instant, shape (height, width, 3), grey levels; what does not move lies below."""
     picture = np.full((camera.height, camera.width, 3), float(look.background))
-    order = sorted(
-        range(len(entities)),
-        key=lambda k: (not entities[k].is_static, entities[k].shape != "rect_mat"),
-    )
     moving = [k for k, entity in enumerate(entities) if not entity.is_static]
-    for k in order:
+
+    def depth(k):
+        return not entities[k].is_static, entities[k].shape != "rect_mat"
+
+    for k in sorted(range(len(entities)), key=depth):
         entity, (x, y) = entities[k], places[k]
         if not (math.isfinite(x) and math.isfinite(y)):
             continue

@@ -75,10 +75,7 @@ def _is_number(text):
 def track_video(video, specs, first=0, last=None, progress=None):
     """Track all objects of a video; their covariances are calibrated on the tracks themselves.
 
-    Parameters
-    ----------
-    first, last : int
-        Frames, both included.
+    `first` and `last` are frames, both included.
     """
     last = video.n_frames - 1 if last is None else last
     if not 0 <= first <= last - 2 or last >= video.n_frames:
@@ -107,21 +104,19 @@ def track_video(video, specs, first=0, last=None, progress=None):
             against = "background" if spec.method == "moving" else "surround"
             settings = BlobSettings(spec.box, spec.frame, against)
             parts.append(track_blob(video, spec.name, settings, first, last))
-        elif spec.method == "template":
-            parts.append(track_template(video, spec.name, spec.box, spec.frame, first, last))
         else:
-            parts.append(track_point(video, spec.name, spec.box, spec.frame, first, last))
+            follow = track_template if spec.method == "template" else track_point
+            parts.append(follow(video, spec.name, spec.box, spec.frame, first, last))
     return calibrated(_joined(parts))
 
 
 def _joined(parts):
     first = parts[0]
+    arrays = ([getattr(p, name) for p in parts]
+              for name in ("positions", "covariances", "rms", "seen"))  # fmt: skip
     return Track(
         tuple(n for p in parts for n in p.names), first.frames, first.fps,
-        np.concatenate([p.positions for p in parts], axis=1),
-        np.concatenate([p.covariances for p in parts], axis=1),
-        np.concatenate([p.rms for p in parts], axis=1),
-        np.concatenate([p.seen for p in parts], axis=1),
+        *(np.concatenate(each, axis=1) for each in arrays),
         tuple(r for p in parts for r in p.reasons),
         {k: v for p in parts for k, v in p.kinds.items()},
         {k: v for p in parts for k, v in p.radii.items()},
@@ -182,9 +177,7 @@ def to_dataset(video, track, calibration, regions=(), smooth=False):
 
 def _entity(track, name, scale):
     radius = track.radii.get(name, math.nan)
-    if math.isfinite(radius):
-        return Entity(name, "disc", radius=radius * scale)
-    return Entity(name)
+    return Entity(name, "disc", radius=radius * scale) if math.isfinite(radius) else Entity(name)
 
 
 def quality_page(video, track, calibration):
@@ -197,8 +190,8 @@ def quality_page(video, track, calibration):
         rows.append(
             f"<tr><td>{html.escape(name)}</td><td>{html.escape(track.kinds.get(name, ''))}</td>"
             f"<td>{known.sum()} of {len(known)}</td>"
-            f"<td>{_median(sigma[:, 0])}</td><td>{_median(sigma[:, 1])}</td>"
-            f"<td>{_median(rms)}</td><td>{_max(rms)}</td></tr>"
+            f"<td>{_told(np.median, sigma[:, 0])}</td><td>{_told(np.median, sigma[:, 1])}</td>"
+            f"<td>{_told(np.median, rms)}</td><td>{_told(np.max, rms)}</td></tr>"
         )
     gaps = "".join(
         f"<tr><td>{html.escape(name)}</td><td>{span}</td><td>{html.escape(reason)}</td></tr>"
@@ -235,12 +228,8 @@ table{{border-collapse:collapse}}td,th{{border:1px solid #aaa;padding:.2em .6em;
 """
 
 
-def _median(values):
-    return f"{np.median(values):.3g}" if len(values) else "–"
-
-
-def _max(values):
-    return f"{np.max(values):.3g}" if len(values) else "–"
+def _told(of, values):
+    return f"{of(values):.3g}" if len(values) else "–"
 
 
 def _spans(reasons):

@@ -15,7 +15,8 @@ from bsp_gp.vision.colour import background, is_colour
 
 FILLED = 0.985  # share of a rectangle that must be its own (or another mat's) colour
 SPECK = 60  # px²: less is no mat
-TOLERANCE = 60.0
+TOLERANCE, OF_WALLS = 60.0, 90.0  # of colours of mats and of walls
+N_SAMPLES = 24  # frames of which the background is made
 
 
 @dataclass(frozen=True)
@@ -35,17 +36,14 @@ class Region:
     @property
     def box(self):
         """``(left, top, right, bottom)``, px."""
-        return (
-            self.x - self.width / 2,
-            self.y - self.height / 2,
-            self.x + self.width / 2,
-            self.y + self.height / 2,
-        )
+        half_width, half_height = self.width / 2, self.height / 2
+        return (self.x - half_width, self.y - half_height, self.x + half_width,
+                self.y + half_height)  # fmt: skip
 
 
-def still_background(video, track, n=24):
+def still_background(video, track):
     """Background image of a tracked video, discs left out; see `colour.background`."""
-    indices, images = video.sample(n)
+    indices, images = video.sample(N_SAMPLES)
     rows = {int(f): k for k, f in enumerate(track.frames)}
     hidden = []
     for index, image in zip(indices, images, strict=True):
@@ -60,15 +58,9 @@ def still_background(video, track, n=24):
     return background(images, hidden)
 
 
-def arena(image, wall=(0, 0, 0), tolerance=90.0):
-    """Inner rectangle of walls of one colour along the border of the picture.
-
-    Returns
-    -------
-    Region or None
-        None if the border is not of that colour.
-    """
-    walls = is_colour(image, np.array(wall, dtype=np.float32), tolerance)
+def arena(image):
+    """Inner rectangle of black walls along the border of the picture; None without such."""
+    walls = is_colour(image, np.zeros(3, dtype=np.float32), OF_WALLS)
     edge = np.concatenate([walls[0], walls[-1], walls[:, 0], walls[:, -1]])
     if edge.mean() < 0.9:
         return None
@@ -81,17 +73,11 @@ def arena(image, wall=(0, 0, 0), tolerance=90.0):
 
 def _region(colour, left, top, right, bottom, hidden=0.0):
     # Pixel k covers k - 1/2 .. k + 1/2, as the trackers count.
-    return Region(
-        colour,
-        (left + right - 1) / 2,
-        (top + bottom - 1) / 2,
-        float(right - left),
-        float(bottom - top),
-        hidden,
-    )
+    middle = (left + right - 1) / 2, (top + bottom - 1) / 2
+    return Region(colour, *middle, float(right - left), float(bottom - top), hidden)
 
 
-def mats(image, seen, colours, inside=None, tolerance=TOLERANCE):
+def mats(image, seen, colours, inside=None):
     """Rectangles of the given colours in a background image.
 
     Parameters
@@ -104,15 +90,10 @@ def mats(image, seen, colours, inside=None, tolerance=TOLERANCE):
     inside : Region, optional
         Only this part of the picture.
     """
-    masks = {
-        name: cv2.morphologyEx(
-            (is_colour(image, colour, tolerance) & seen).astype(np.uint8),
-            cv2.MORPH_OPEN,
-            np.ones((5, 5), np.uint8),
-        )
-        > 0
-        for name, colour in colours.items()
-    }
+    masks = {}
+    for name, colour in colours.items():
+        mask = (is_colour(image, colour, TOLERANCE) & seen).astype(np.uint8)
+        masks[name] = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8)) > 0
     if inside is not None:
         left, top, right, bottom = (int(round(v + 0.5)) for v in inside.box)
         for mask in masks.values():
@@ -132,18 +113,16 @@ def mats(image, seen, colours, inside=None, tolerance=TOLERANCE):
 def _parts(mask, others):
     """Connected patches; two in line across another mat are one mat seen on both sides."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    parts = [labels == k for k in range(1, count) if stats[k][4] > SPECK]
-    merged = True
-    while merged:
-        merged = False
-        for a, b in itertools.combinations(range(len(parts)), 2):
-            both = parts[a] | parts[b]
-            left, top, right, bottom = _bounds(both)
-            inner = np.s_[top:bottom, left:right]
-            if (both | others)[inner].mean() > FILLED:
-                parts = [p for k, p in enumerate(parts) if k not in (a, b)] + [both]
-                merged = True
-                break
+    return _merged([labels == k for k in range(1, count) if stats[k][4] > SPECK], others)
+
+
+def _merged(parts, others):
+    for a, b in itertools.combinations(range(len(parts)), 2):
+        both = parts[a] | parts[b]
+        left, top, right, bottom = _bounds(both)
+        if (both | others)[top:bottom, left:right].mean() > FILLED:
+            rest = [p for k, p in enumerate(parts) if k not in (a, b)]
+            return _merged([*rest, both], others)
     return parts
 
 
@@ -172,13 +151,11 @@ def _cover(part, others):
     xs = sorted({left, right, *_steps(part.sum(axis=0))})
     ys = sorted({top, bottom, *_steps(part.sum(axis=1))})
     total = part.sum()
-    integral = cv2.integral(allowed.astype(np.uint8)).astype(float)
     boxes = []
     for x0, x1 in itertools.combinations(xs, 2):
         for y0, y1 in itertools.combinations(ys, 2):
             area = (x1 - x0) * (y1 - y0)
-            inner = integral[y1, x1] - integral[y0, x1] - integral[y1, x0] + integral[y0, x0]
-            if area > SPECK and inner > 0.97 * area:
+            if area > SPECK and np.count_nonzero(allowed[y0:y1, x0:x1]) > 0.97 * area:
                 boxes.append((x0, y0, x1, y1))
     best, choice = -np.inf, None
     for a, b in itertools.combinations(boxes, 2):

@@ -17,6 +17,7 @@ FLOOR = 4e-6  # px²: least variance of a measured coordinate (8-bit pixels)
 LOSSY_FLOOR = 2.25e-4  # px²: what block compression leaves at best, from renders (0.015 px)
 LEAST_FACTOR, MOST_FACTOR = 1e-3, 1e4
 CUT = 0.5
+LONGEST = 600  # frames that tell the power of the force
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +40,6 @@ class Smoothed:
     q: float
 
 
-def _process(q):
-    block = q * np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]])
-    return np.kron(block, np.eye(2))
-
-
 STEP = np.kron(np.array([[1.0, 1.0], [0.0, 1.0]]), np.eye(2))
 
 
@@ -52,7 +48,7 @@ def _filter(z, r, q, keep=False):
     start = int(np.flatnonzero(np.isfinite(z[:, 0]))[0])
     x = np.concatenate([z[start], np.zeros(2)])
     p = np.diag([1e4, 1e4, 1e4, 1e4])
-    noise = _process(q)
+    noise = np.kron(q * np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]]), np.eye(2))
     value, seen = 0.0, 0
     passes = []
     for k in range(len(z)):
@@ -119,11 +115,11 @@ def _third_differences(z, covariances):
     return (third**2 / expected)[np.isfinite(third)]
 
 
-def process_power(z, covariances, longest=600):
+def _process_power(z, covariances):
     """Power q of the white force that makes the innovations most likely (maximum likelihood)."""
     if np.isfinite(z[:, 0]).sum() < 8:
         return 1.0
-    z, r = z[:longest], _regular(covariances)[:longest]
+    z, r = z[:LONGEST], _regular(covariances)[:LONGEST]
     fit = minimize_scalar(
         lambda p: -_filter(z, r, np.exp(p))[0], bounds=(-16.0, 8.0), method="bounded"
     )
@@ -159,7 +155,7 @@ def smooth_track(track, name):
     """
     k = track.of(name)
     z, r = track.positions[:, k], _regular(track.covariances[:, k])
-    q = process_power(z, r)
+    q = _process_power(z, r)
     _, passes = _filter(z, r, q, keep=True)
     x, p = passes[-1][1]
     states, spreads = [x], [p]

@@ -4,53 +4,16 @@ import cv2
 import numpy as np
 
 from bsp_gp.errors import SettingsError
-from bsp_gp.vision.track import Track
+from bsp_gp.vision.track import NOWHERE, both_ways, last_frame, track_of, walk
 
 LEAST_SCORE = 0.6  # normalised correlation below this is another thing
 REACH = 40  # px: half-width of the searched window beyond the template
+ITERATIONS = 15
+WINDOW = (21, 21)  # px: what moves with a point
 
 
 def _grey(image):
     return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
-
-
-def _both_ways(video, frame, first, last):
-    """Frames from `frame` backwards (kept in memory), then from it forwards."""
-    if not first <= frame <= last:
-        raise SettingsError(f"the frame must be {first}..{last}, got {frame}")
-    yield reversed(list(video.frames(first, frame + 1)))
-    yield video.frames(frame, last + 1)
-
-
-def _walk(video, frame, first, last, start, step):
-    """Run `step(image, predicted) -> (place, covariance, rms, reason)` both ways from `frame`."""
-    found = {}
-    for images in _both_ways(video, frame, first, last):
-        place, velocity = np.array(start, dtype=float), np.zeros(2)
-        for index, image in images:
-            result = step(image, place + velocity)
-            found[index] = result
-            if result[3]:
-                place = place + velocity
-            else:
-                velocity = result[0] - place if index != frame else np.zeros(2)
-                place = result[0]
-    return found
-
-
-def _track(video, name, found, kind):
-    frames = sorted(found)
-    rows = [found[f] for f in frames]
-    reasons = tuple((f, name, r[3]) for f, r in zip(frames, rows, strict=True) if r[3])
-    return Track(
-        (name,), np.array(frames), video.fps, np.array([[r[0]] for r in rows]),
-        np.array([[r[1]] for r in rows]), np.array([[r[2]] for r in rows]),
-        np.array([[0.0 if r[3] else 1.0] for r in rows]), reasons, {name: kind},
-        {name: float("nan")}, "grey levels", video.is_lossy,
-    )  # fmt: skip
-
-
-NOWHERE = (np.full(2, np.nan), np.full((2, 2), np.nan), np.nan)
 
 
 def track_template(video, name, box, frame, first=0, last=None):
@@ -64,14 +27,9 @@ def track_template(video, name, box, frame, first=0, last=None):
     SettingsError
         The box is not inside of the picture, or has no structure.
     """
-    last = video.n_frames - 1 if last is None else min(last, video.n_frames - 1)
     x, y, width, height = (int(v) for v in box)
-    if (
-        min(x, y) < 0
-        or x + width > video.width
-        or y + height > video.height
-        or min(width, height) < 5
-    ):
+    is_inside = min(x, y) >= 0 and x + width <= video.width and y + height <= video.height
+    if not is_inside or min(width, height) < 5:
         raise SettingsError(f"the box must lie in the picture and be 5 px or more, got {box}")
     images = list(video.frames(frame, frame + 1))
     if not images:
@@ -97,14 +55,14 @@ def track_template(video, name, box, frame, first=0, last=None):
         corner = np.array([x0 + column, y0 + row], dtype=float)
         return _refined(grey, patch, gx, gy, corner, half)
 
-    found = _walk(video, frame, first, last, np.array([x, y]) + half, step)
-    return _track(video, name, found, "template")
+    found = walk(video, frame, first, last_frame(video, last), np.array([x, y]) + half, step)
+    return track_of(video, name, found, "template", "grey levels", lossy=video.is_lossy)
 
 
-def _refined(grey, patch, gx, gy, corner, half, iterations=15):
+def _refined(grey, patch, gx, gy, corner, half):
     height, width = patch.shape
     columns = np.stack([gx.ravel(), gy.ravel(), patch.ravel(), np.ones(patch.size)], axis=1)
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         shift = np.array([[1.0, 0.0, corner[0]], [0.0, 1.0, corner[1]]], dtype=np.float32)
         now = cv2.warpAffine(
             grey, shift, (width, height), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
@@ -121,33 +79,31 @@ def _refined(grey, patch, gx, gy, corner, half, iterations=15):
     return corner + half, covariance, float(np.sqrt(variance)), ""
 
 
-def track_point(video, name, point, frame, first=0, last=None, window=21):
+def track_point(video, name, point, frame, first=0, last=None):
     """Follow one point by pyramidal Lucas-Kanade optical flow, checked forth and back.
 
     Errors add up from frame to frame: the covariance grows with the distance from `frame`.
     """
-    last = video.n_frames - 1 if last is None else min(last, video.n_frames - 1)
-    state = {}
 
-    def step(image, predicted):
-        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        if "image" not in state or state["turn"]:
-            state.update(image=grey, place=np.array(point, dtype=float), turn=False, n=0)
-            return state["place"], np.eye(2) * 0.1**2, 0.0, ""
-        old = state["place"].astype(np.float32).reshape(1, 1, 2)
-        size = (window, window)
-        new, good, _ = cv2.calcOpticalFlowPyrLK(state["image"], grey, old, None, winSize=size)
-        back, good_back, _ = cv2.calcOpticalFlowPyrLK(grey, state["image"], new, None, winSize=size)
-        gap = float(np.linalg.norm(back - old))
-        if not (good[0, 0] and good_back[0, 0]) or gap > 1.0:
-            return (*NOWHERE, "the flow does not come back")
-        state["n"] += 1
-        state.update(image=grey, place=new.reshape(2).astype(float))
-        return state["place"], np.eye(2) * (0.1**2 * (1 + state["n"]) + gap**2), gap, ""
+    def followed(images):
+        known, place, n_steps = None, np.array(point, dtype=float), 0
+        for index, image in images:
+            grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+            if known is None:
+                known = grey
+                yield index, (place, np.eye(2) * 0.1**2, 0.0, "")
+                continue
+            old = place.astype(np.float32).reshape(1, 1, 2)
+            new, good, _ = cv2.calcOpticalFlowPyrLK(known, grey, old, None, winSize=WINDOW)
+            back, is_back, _ = cv2.calcOpticalFlowPyrLK(grey, known, new, None, winSize=WINDOW)
+            gap = float(np.linalg.norm(back - old))
+            if not (good[0, 0] and is_back[0, 0]) or gap > 1.0:
+                yield index, (*NOWHERE, "the flow does not come back")
+                continue
+            known, place, n_steps = grey, new.reshape(2).astype(float), n_steps + 1
+            yield index, (place, np.eye(2) * (0.1**2 * (1 + n_steps) + gap**2), gap, "")
 
     found = {}
-    for images in _both_ways(video, frame, first, last):
-        state["turn"] = True
-        for index, image in images:
-            found[index] = step(image, None)
-    return _track(video, name, found, "optical flow")
+    for images in both_ways(video, frame, first, last_frame(video, last)):
+        found.update(followed(images))
+    return track_of(video, name, found, "optical flow", "grey levels", lossy=video.is_lossy)

@@ -92,12 +92,7 @@ class Video:
 
 
 def open_video(path, fps=None):
-    """Open a video and count the frames that can be decoded.
-
-    Parameters
-    ----------
-    fps : float, optional
-        The true frame rate, if the header's is wrong.
+    """Open a video and count the frames that can be decoded; `fps` if the header's is wrong.
 
     Raises
     ------
@@ -111,10 +106,9 @@ def open_video(path, fps=None):
     try:
         if not capture.isOpened():
             raise DataError(
-                "not a video that OpenCV can decode",
-                file=path,
+                "not a video that OpenCV can decode", file=path,
                 remedy="convert it, e.g. ffmpeg -i IN -c:v libx264 OUT.mp4",
-            )
+            )  # fmt: skip
         rate = float(capture.get(cv2.CAP_PROP_FPS)) if fps is None else float(fps)
         size = [int(capture.get(p)) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
         promised = int(max(capture.get(cv2.CAP_PROP_FRAME_COUNT), 0))
@@ -129,10 +123,9 @@ def open_video(path, fps=None):
         raise DataError("no frame could be decoded", file=path)
     if not (math.isfinite(rate) and 0 < rate <= MAX_FPS):
         raise DataError(
-            f"frame rate must be positive and finite, got {rate:g}",
-            file=path,
+            f"frame rate must be positive and finite, got {rate:g}", file=path,
             remedy="give the true one: --fps",
-        )
+        )  # fmt: skip
     return Video(path, rate, size[0], size[1], count, promised, codec)
 
 

@@ -323,12 +323,7 @@ def make_app(folder, token, hosts, n_at_once=1):
 def serve(folder, port=0, n_at_once=1, tell=None):
     """Serve the page on this machine alone until interrupted.
 
-    Parameters
-    ----------
-    port : int
-        0: any that is free.
-    tell : callable, optional
-        Given the address once the server listens.
+    The port 0 is any that is free; `tell` is given the address once the server listens.
 
     Raises
     ------

@@ -2,9 +2,9 @@
 
 import re
 
+from bsp_gp.data.declaration import UP_AXES
 from bsp_gp.errors import SettingsError
 
-_UP = ("x", "y", "z", "-x", "-y", "-z")
 _TIME = re.compile(r"\d{1,5}(s|m|h)")
 _COLOUR = re.compile(r"#[0-9a-f]{6}")
 MAX_TEXT, MAX_LAWS = 2000, 20
@@ -40,8 +40,8 @@ def data_options(asked):
         "units": _texts(asked, "units") or None, "columns": _texts(asked, "columns") or None,
         "fps": _number(asked, "fps"), "up": asked.get("up") or None,
     }  # fmt: skip
-    if options["up"] not in (None, *_UP):
-        raise SettingsError(f"the vertical must be one of {', '.join(_UP)}")
+    if options["up"] not in (None, *UP_AXES):
+        raise SettingsError(f"the vertical must be one of {', '.join(UP_AXES)}")
     return {name: value for name, value in options.items() if value is not None}
 
 

@@ -48,13 +48,10 @@ class Job:
         """What the page shows."""
         is_running = self.state == "running"
         return {
-            "key": self.key,
-            "state": self.state,
-            "told": self.told,
-            "stage": self.stages[-1] if self.stages else "",
-            "n_stages": len(self.stages),
+            "key": self.key, "state": self.state, "told": self.told,
+            "stage": self.stages[-1] if self.stages else "", "n_stages": len(self.stages),
             "seconds": time.monotonic() - self.started if is_running else self.seconds,
-        }
+        }  # fmt: skip
 
 
 class Jobs:
@@ -77,12 +74,8 @@ class Jobs:
     def start(self, words, data, out=None):
         """Queue ``bsp-gp WORDS DATA``.
 
-        Parameters
-        ----------
-        words : sequence of str
-            The command and its options.
-        out : path-like, optional
-            Where the result goes; by default the folder ``report`` of the job.
+        WORDS are the command and its options; `out` is where the result goes, by default the folder
+        ``report`` of the job.
         """
         key = secrets.token_hex(8)
         folder = self.folder / key

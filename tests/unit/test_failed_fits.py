@@ -93,8 +93,9 @@ def test_accelerations_beyond_all_numbers_are_refused():
 
 def test_a_patch_that_is_never_seen():
     from bsp_gp.vision.blobs import _gathered
+    from bsp_gp.vision.track import NOWHERE
 
-    lost = {k: (None, None, None) for k in range(4)}
+    lost = {k: (*NOWHERE, "not seen", np.nan) for k in range(4)}
     track = _gathered(SimpleNamespace(fps=25.0), "spot", lost)
     assert np.isnan(track.positions).all() and np.isnan(track.rms).all()
 
