@@ -294,7 +294,7 @@ def weights_of(log_weight):
     return weights / weights.sum()
 
 
-def split_r_hat(chain, n_groups=4):
+def split_r_hat(chain):
     """Split R-hat of every parameter (Gelman et al. 2013, section 11.4).
 
     The walkers of an ensemble are pooled into groups, each of which counts as one chain, cut in
@@ -310,7 +310,7 @@ def split_r_hat(chain, n_groups=4):
         nan for fewer than four steps.
     """
     half = len(chain) // 2
-    n_groups = min(n_groups, chain.shape[1])
+    n_groups = min(4, chain.shape[1])
     if half < 2:
         return np.full(chain.shape[2], np.nan)
     each = chain.shape[1] // n_groups

@@ -6,7 +6,6 @@ go through `fit_constants`. Laws that are equal on the data are scored once (`re
 """
 
 import functools
-import hashlib
 from typing import NamedTuple
 
 import numpy as np
@@ -83,9 +82,6 @@ class Objective:
         independent of each other there.
     best : dict of int to (Expression, Score)
         Law -> its least complex expression seen so far.
-    history : list of list of Expression
-        All distinct trees, in the order and in the batches in which they were scored: scoring
-        the batches again gives the same numbers and the same bits.
     """
 
     def __init__(
@@ -136,7 +132,6 @@ class Objective:
         self._laws = {}
         self._fits = {}
         self.best = {}
-        self.history = []
 
     def fresh(self):
         """The same objective, nothing scored yet."""
@@ -145,25 +140,6 @@ class Objective:
     def __reduce__(self):
         # To another process go the data, not what was computed from them.
         return (functools.partial(Objective, **self._given), ())
-
-    @property
-    def fingerprint(self):
-        """Hash of what the scores depend on: grammar and its mask, settings, data."""
-        settings = (
-            self.grammar.fingerprint,
-            tuple(map(bool, self.grammar.enabled)),
-            self.kind,
-            self.criterion,
-            float(self.beta),
-            self.starts,
-        )
-        digest = hashlib.sha256(repr(settings).encode())
-        for batch in self.regression.batches:
-            for array in (batch.times, batch.positions, batch.velocities, batch.scale):
-                digest.update(np.ascontiguousarray(array).tobytes())
-        for array in (self.y, self.q, self.rows.input("m_i", False)):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()
 
     # --- scores ----------------------------------------------------------------------------------
 
@@ -176,8 +152,6 @@ class Objective:
             if expression not in scores and expression not in new:
                 new[expression] = law_of(expression)
         self._score_new(new)
-        if new:
-            self.history.append(list(new))
         self.n_repeats += len(expressions) - len(new)
         return self.known(expressions)
 
