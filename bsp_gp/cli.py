@@ -710,24 +710,12 @@ def _finish(args, report, out):
 
 
 _COMMANDS = {
-    "check": _check,
-    "close": _close,
-    "sweep": _sweep,
-    "fit": _fit,
-    "infer": _infer,
-    "simulate": _simulate,
-    "make": _make,
-    "compare": _compare,
-    "grammar": _grammar,
-    "track": _track,
-    "plan": _plan,
-    "discover": _discover,
-    "show": _show,
-    "rerun": _rerun,
-    "serve": _serve,
-    "completion": _completion,
-    "demo": _demo,
-}
+    run.__name__[1:]: run
+    for run in (
+        _check, _close, _sweep, _fit, _infer, _simulate, _make, _compare, _grammar, _track, _plan,
+        _discover, _show, _rerun, _serve, _completion, _demo,
+    )
+}  # fmt: skip
 
 
 # --- work and output ------------------------------------------------------------------------------

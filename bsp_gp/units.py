@@ -334,11 +334,6 @@ class UnitSystem:
         return self.symbols.get("m") == "rad"
 
     @property
-    def is_speed(self):
-        """Whether velocities stand in the place of places."""
-        return is_speed(self.symbols.get("m", "m"))
-
-    @property
     def is_si(self):
         """Whether lengths and times are told in metres and seconds."""
         told = [self.declared.get(kind, "").strip() for kind in ("length", "time")]

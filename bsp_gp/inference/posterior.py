@@ -1,6 +1,6 @@
 """Posteriors: named draws with weights, how far they can be trusted, and their tables."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from html import escape
 
 import numpy as np
@@ -143,21 +143,6 @@ class Posterior:
             len(self.weights), size=n_draws, replace=not even, p=None if even else self.weights
         )
         return self.draws[index], np.full(n_draws, 1 / n_draws)
-
-    def select(self, names):
-        """The marginal posterior of some names."""
-        index = [self.names.index(name) for name in names]
-        return replace(
-            self,
-            names=tuple(names),
-            draws=self.draws[:, index],
-            n_eff=self.n_eff[index],
-            r_hat=self.r_hat[index],
-            priors=tuple(self.priors[k] for k in index),
-            truth=self.truth[index],
-            walkers=None,
-            chain=None if self.chain is None else self.chain[:, :, index],
-        )
 
     def summary(self):
         """Table of every name: mean, sd, 90 % interval, effective sample size, R-hat.

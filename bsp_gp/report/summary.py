@@ -7,9 +7,7 @@ from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.report.first import plain_sentence
 from bsp_gp.report.numbers import (
     format_constant,
-    format_number,
     format_p,
-    format_value,
     is_number,
     length_text,
 )
@@ -30,8 +28,6 @@ from bsp_gp.report.sentences import (
 )
 from bsp_gp.report.traces import trace_sentence
 from bsp_gp.units import is_speed
-
-__all__ = ["format_number", "format_value", "summary_text", "wrapped"]
 
 WIDTH = 100
 _MAX_CONSTANTS = 5
@@ -78,7 +74,7 @@ def summary_text(report: LoopReport, width: int = WIDTH) -> str:
     return "\n".join(line for text, indent in paragraphs for line in wrapped(text, width, indent))
 
 
-def wrapped(text, width=WIDTH, indent=""):
+def wrapped(text, width, indent):
     """Lines of a sentence, all of it; what follows the first is indented."""
     text = "".join(c if c.isprintable() else " " for c in str(text))
     return textwrap.wrap(text, max(width, 20), subsequent_indent=indent, drop_whitespace=True)

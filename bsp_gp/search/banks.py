@@ -12,7 +12,7 @@ import numpy as np
 
 from bsp_gp.errors import UnitError
 from bsp_gp.language.expression import Expression
-from bsp_gp.language.formula import evaluate
+from bsp_gp.language.formula import evaluate, input_types_of
 from bsp_gp.language.grammar import fill
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.bodies import law_inputs
@@ -233,7 +233,7 @@ class Banks:
         stored = {child.formula: child.value for child in children}
         if formula in stored:
             return stored[formula]
-        inputs = self.rows.inputs_for(formula.inputs, _types_in(formula))
+        inputs = self.rows.inputs_for(formula.inputs, input_types_of(formula))
         value = evaluate(formula, inputs, cache=_Overlay(stored))
         shape = (self.rows.n_rows, self.rows.n_dims)
         value = np.broadcast_to(
@@ -258,12 +258,6 @@ class _Overlay(dict):
 
     def __setitem__(self, key, value):
         pass
-
-
-def _types_in(formula):
-    from bsp_gp.language.formula import Input, walk
-
-    return {node.name: node.type for node in walk(formula) if isinstance(node, Input)}
 
 
 def fingerprints(values, weights, merge_scale):

@@ -15,7 +15,7 @@ from bsp_gp.language.formula import summands
 from bsp_gp.language.pcfg import Pcfg
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.search.banks import Rows
-from bsp_gp.search.candidate import Candidate
+from bsp_gp.search.candidate import Candidate, front_of
 from bsp_gp.search.columns import BATCH_BYTES, Columns, Projected, orthonormal
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.recognition import Recogniser
@@ -327,12 +327,7 @@ class Objective:
         -------
         list of (Expression, Score), simplest first
         """
-        out = []
-        by_complexity = sorted(self.best.values(), key=lambda e: (e[1].complexity, e[1].loss))
-        for expression, score in by_complexity:
-            if not out or score.loss < out[-1][1].loss:
-                out.append((expression, score))
-        return out
+        return list(front_of(self.best.values(), lambda entry: entry[1]))
 
 
 def _key(law):
