@@ -597,13 +597,9 @@ def _demo(args):
     with _Progress(args.quiet) as progress, hands(args.workers, args.cluster) as pool:
         run_info = {"argv": ["bsp-gp", *args.argv], **run_record(out)}
         report, folder = run_demo(
-            out,
-            overwrite=args.overwrite,
-            seed=args.seed,
-            workers=pool,
-            progress=progress,
+            out, overwrite=args.overwrite, seed=args.seed, workers=pool, progress=progress,
             run_info=run_info,
-        )
+        )  # fmt: skip
         args.written.append(folder)
     _finish(args, report, out)
 

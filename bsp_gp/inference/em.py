@@ -154,18 +154,9 @@ class EmResult:
 
 
 def fit_em(
-    scenes,
-    latents,
-    grammar,
-    likelihood,
-    *,
-    rng=None,
-    settings=None,
-    m_step=None,
-    base=None,
-    kinds=None,
-    progress=None,
-):
+    scenes, latents, grammar, likelihood, *, rng=None, settings=None, m_step=None, base=None,
+    kinds=None, progress=None,
+):  # fmt: skip
     """Learn a law and the unknown properties together.
 
     Parameters
@@ -263,11 +254,7 @@ class _Em:
         self.progress("constants and latents together")
         try:
             joint = refine(
-                best.profile,
-                self.scenes,
-                self.latents,
-                self.likelihood.for_posterior,
-                rng=rng,
+                best.profile, self.scenes, self.latents, self.likelihood.for_posterior, rng=rng,
                 settings=self.settings.final,
             )  # fmt: skip  (None: the defaults)
         except FitError as error:

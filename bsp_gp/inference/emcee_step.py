@@ -21,18 +21,9 @@ DEAD_MOVES = 0.02
 
 
 def sample_ensemble(
-    log_prob,
-    names,
-    start,
-    *,
-    rng,
-    n_eff=1000,
-    max_steps=20_000,
-    n_walkers=None,
-    keep_chain=False,
-    low=None,
-    high=None,
-):
+    log_prob, names, start, *, rng, n_eff=1000, max_steps=20_000, n_walkers=None, keep_chain=False,
+    low=None, high=None,
+):  # fmt: skip
     """Sample a density with an ensemble of walkers.
 
     Parameters

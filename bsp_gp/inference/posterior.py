@@ -247,21 +247,14 @@ def joined(parts, names, *, rng):
         acceptance = [p.acceptance for p in parts if np.isfinite(p.acceptance)]
         times = [p.autocorr_time for p in parts if np.isfinite(p.autocorr_time)]
     return Posterior(
-        tuple(names),
-        np.stack([draws for _, _, draws in order], axis=1),
-        np.full(n_draws, 1 / n_draws),
-        log_prob,
-        ", ".join(methods),
-        each("n_eff"),
-        each("r_hat"),
+        tuple(names), np.stack([draws for _, _, draws in order], axis=1),
+        np.full(n_draws, 1 / n_draws), log_prob, ", ".join(methods), each("n_eff"), each("r_hat"),
         float(np.mean(acceptance)) if acceptance else np.nan,
-        float(np.max(times)) if times else np.nan,
-        all(part.converged for part in parts),
-        tuple(part.priors[k] for part, k, _ in order),
-        each("truth"),
+        float(np.max(times)) if times else np.nan, all(part.converged for part in parts),
+        tuple(part.priors[k] for part, k, _ in order), each("truth"),
         tuple(dict.fromkeys(note for part in parts for note in part.notes)),
         {part.names: part.walkers for part in parts},
-    )
+    )  # fmt: skip
 
 
 def effective_size(weights):

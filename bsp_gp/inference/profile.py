@@ -313,17 +313,11 @@ class _Problem:
         )
         pull = np.concatenate([np.square(self.weight / self.unit), np.zeros(len(constants))])
         return Profile(
-            law,
-            self._exact(self.values(z[None])[0]) if self.k else np.zeros(0),
-            constants,
-            float(loss[best]),
-            float(np.square(r).sum() + self.misfit.rest.sum()),
-            jacobian / units,
-            pull,
-            ((z <= self.low) | (z >= self.high)) & ~self.is_discrete,
-            np.sort(loss),
+            law, self._exact(self.values(z[None])[0]) if self.k else np.zeros(0), constants,
+            float(loss[best]), float(np.square(r).sum() + self.misfit.rest.sum()), jacobian / units,
+            pull, ((z <= self.low) | (z >= self.high)) & ~self.is_discrete, np.sort(loss),
             self.misfit.n_rows,
-        )
+        )  # fmt: skip
 
 
 def linear_constants(misfit, values):

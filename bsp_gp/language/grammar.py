@@ -367,16 +367,11 @@ class _Reader:
         _check_beyond(self.source)
         rules = self.rules()
         grammar = Grammar(
-            name=head.get("name", "unnamed"),
-            start=MappingProxyType(self.start(head)),
-            types=MappingProxyType(self.types),
-            inputs=MappingProxyType(self.inputs),
-            constants=self.constants,
-            rules=rules,
-            operators=MappingProxyType(self.operators),
-            fingerprint=_fingerprint(self.source),
-            source=MappingProxyType(self.source),
-        )
+            name=head.get("name", "unnamed"), start=MappingProxyType(self.start(head)),
+            types=MappingProxyType(self.types), inputs=MappingProxyType(self.inputs),
+            constants=self.constants, rules=rules, operators=MappingProxyType(self.operators),
+            fingerprint=_fingerprint(self.source), source=MappingProxyType(self.source),
+        )  # fmt: skip
         self.check(grammar)
         try:
             _ = grammar.beyond

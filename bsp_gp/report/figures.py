@@ -80,13 +80,9 @@ def build_figures(report):
     """
     report = page_of(report)
     makers = {
-        "headline": _headline,
-        "tracks": _tracks,
-        "track_errors": _track_errors,
-        "constants": constants_figure,
-        "rounds": rounds_figure,
-        "residuals": _residuals,
-    }
+        "headline": _headline, "tracks": _tracks, "track_errors": _track_errors,
+        "constants": constants_figure, "rounds": rounds_figure, "residuals": _residuals,
+    }  # fmt: skip
     made = {name: make(report) for name, make in makers.items()}
     made |= {f"trace_{r.number}": trace_figure(r) for r in report.rounds}
     made |= {f"hidden_{r.number}": _hidden(r) for r in report.rounds}
@@ -228,16 +224,9 @@ def _draw_residuals(figure, against, series, unit):
             y = y * factor
             y = np.where(y > 0, y, np.nan) if is_log else y
             panel.plot(
-                x[thinned],
-                y[thinned],
-                ".",
-                ms=1.6,
-                mew=0,
-                color=color,
-                alpha=0.25,
-                rasterized=True,
-                zorder=1,
-            )
+                x[thinned], y[thinned], ".", ms=1.6, mew=0, color=color, alpha=0.25,
+                rasterized=True, zorder=1,
+            )  # fmt: skip
             center, low, middle, high = _running_quantiles(x[order], y[order])
             panel.fill_between(center, low, high, color=color, alpha=0.16, lw=0, zorder=2)
             (line,) = panel.plot(center, middle, color=color, lw=1.6, zorder=3)

@@ -134,15 +134,9 @@ def _least_squares(matrix, y):
 
 def _fit(law, parameters, values, covariance, residual, jacobian, is_linear):
     return ConstantFit(
-        law.with_values(parameters, values),
-        tuple(parameters),
-        np.asarray(values),
-        covariance,
-        residual,
-        jacobian,
-        0.5 * float(residual @ residual),
-        is_linear,
-    )
+        law.with_values(parameters, values), tuple(parameters), np.asarray(values), covariance,
+        residual, jacobian, 0.5 * float(residual @ residual), is_linear,
+    )  # fmt: skip
 
 
 def _fit_nonlinear(regression, law, starts):

@@ -44,20 +44,9 @@ are, the likeliest ones."""
 
 
 def search_exhaustive(
-    regression,
-    grammar,
-    *,
-    kind,
-    nuisance=None,
-    target=None,
-    max_levels=8,
-    top_k=40,
-    max_ties=MOST_TIES,
-    missing_inputs=(),
-    groups=None,
-    null_targets=None,
-    progress=None,
-):
+    regression, grammar, *, kind, nuisance=None, target=None, max_levels=8, top_k=40,
+    max_ties=MOST_TIES, missing_inputs=(), groups=None, null_targets=None, progress=None,
+):  # fmt: skip
     """Score every distinct law of a grammar on a regression.
 
     Parameters
@@ -177,25 +166,15 @@ class Exhaustive:
             self._run(progress)
             candidates = self._candidates(max_ties)
         certificate = Certificate(
-            self.grammar.name,
-            self.grammar.fingerprint,
-            self.max_levels,
-            self.grammar.count(self.grammar.start[self.kind], self.max_levels),
-            self.n_scored,
-            self.n_failed + self.banks.n_failed,
-            tuple(missing_inputs),
-            tuple(self.parts),
-        )
+            self.grammar.name, self.grammar.fingerprint, self.max_levels,
+            self.grammar.count(self.grammar.start[self.kind], self.max_levels), self.n_scored,
+            self.n_failed + self.banks.n_failed, tuple(missing_inputs), tuple(self.parts),
+        )  # fmt: skip
         return SearchResult(
-            candidates[0] if candidates else None,
-            tuple(candidates),
-            front_of(candidates),
-            self.n_scored,
-            self.n_failed + self.banks.n_failed,
-            time.perf_counter() - started,
-            certificate,
-            tuple(self.null_best),
-        )
+            candidates[0] if candidates else None, tuple(candidates), front_of(candidates),
+            self.n_scored, self.n_failed + self.banks.n_failed, time.perf_counter() - started,
+            certificate, tuple(self.null_best),
+        )  # fmt: skip
 
     def _set_target(self, target, nuisance, groups, null_targets):
         y = self.regression.target() if target is None else np.asarray(target, dtype=float)

@@ -85,19 +85,9 @@ class Objective:
     """
 
     def __init__(
-        self,
-        regression,
-        grammar,
-        kind,
-        *,
-        target=None,
-        nuisance=None,
-        criterion="prior",
-        beta=1e-3,
-        starts=3,
-        null_targets=None,
-        inner=None,
-    ):
+        self, regression, grammar, kind, *, target=None, nuisance=None, criterion="prior",
+        beta=1e-3, starts=3, null_targets=None, inner=None,
+    ):  # fmt: skip
         if criterion not in CRITERIA:
             raise SettingsError(f"criterion must be one of {CRITERIA}, got {criterion!r}")
         if kind not in grammar.start:
@@ -310,15 +300,9 @@ class Objective:
             constants, residual = dict(fit.law.constants), fit.residual
         loss = 0.5 * float(np.square(residual).sum())
         return Candidate(
-            formula,
-            self.kind,
-            constants,
-            loss,
-            score.complexity,
-            self.total - 2 * loss,
-            self.total,
-            expression,
-        )
+            formula, self.kind, constants, loss, score.complexity, self.total - 2 * loss,
+            self.total, expression,
+        )  # fmt: skip
 
     def front(self):
         """Best distinct laws per complexity, each better than every simpler one.

@@ -120,14 +120,9 @@ def search_sums(regression, grammar, *, kind, nuisance=None, target=None, **sett
         guarantee=search.guarantee(),
     )
     return SearchResult(
-        best,
-        tuple(sorted(candidates, key=lambda c: c.loss)),
-        front_of(candidates),
-        search.n_evaluated,
-        search.n_failed,
-        time.perf_counter() - started,
-        certificate,
-    )
+        best, tuple(sorted(candidates, key=lambda c: c.loss)), front_of(candidates),
+        search.n_evaluated, search.n_failed, time.perf_counter() - started, certificate,
+    )  # fmt: skip
 
 
 class _Sums:
@@ -308,14 +303,10 @@ class _Sums:
         # The choice among the rules of the start symbol is a part of the prior.
         choice = np.log(len(self.grammar.rules_of[self.grammar.start[self.kind]]))
         return Candidate(
-            formula,
-            self.kind,
-            {name: float(fit.law.constants[name]) for name in formula.constants},
-            fit.loss,
-            sum(chosen.complexities) + float(choice),
-            total - 2 * fit.loss,
-            total,
-        )
+            formula, self.kind,
+            {name: float(fit.law.constants[name]) for name in formula.constants}, fit.loss,
+            sum(chosen.complexities) + float(choice), total - 2 * fit.loss, total,
+        )  # fmt: skip
 
     def guarantee(self):
         return (
