@@ -5,6 +5,7 @@ likeliest, is kept), so that a bank holds a few hundred distinct values where th
 millions of derivations.
 """
 
+import functools
 import itertools
 from dataclasses import dataclass, field, replace
 
@@ -90,6 +91,16 @@ class Rows:
         self.n_rows = int(self.keep.sum())
         self.n_dims = regression.batches[0].bodies.n_dims
         self._inputs = {}
+
+    @functools.cached_property
+    def receiver(self):
+        """Which (instant, scene, receiver) each valid row belongs to."""
+        parts, offset = [], 0
+        for shape in self.shapes:
+            n = int(np.prod(shape[:3]))
+            parts.append(np.repeat(np.arange(offset, offset + n), shape[3]))
+            offset += n
+        return np.concatenate(parts)[self.keep]
 
     def input(self, name, is_vector):
         """Values of an input on the valid rows, (P,) or (P, d)."""

@@ -21,7 +21,7 @@ from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.recognition import Recogniser
 from bsp_gp.search.scoring import COLLINEAR
 
-CRITERIA = ("prior", "bic", "mdl")
+CRITERIA = ("prior", "mdl")
 
 
 class Score(NamedTuple):
@@ -60,8 +60,8 @@ class Objective:
         As in `search_exhaustive`: residual of a law that is there already, columns of its free
         constants.
     criterion : str
-        "prior": loss + beta * complexity, as in the paper; "bic": loss with the noise level
-        profiled out plus half a log n per constant; "mdl": that plus the complexity.
+        "prior": loss + beta * complexity, as in the paper; "mdl": loss with the noise level
+        profiled out, half a log n per constant, and the complexity.
     beta : float
         Weight of the complexity under "prior".
     starts : int
@@ -199,7 +199,7 @@ class Objective:
             return loss + self.beta * complexity
         n = self.regression.n_rows
         profiled = 0.5 * n * np.log(max(2 * loss / n, 1e-30)) + 0.5 * n_constants * np.log(n)
-        return profiled + (complexity if self.criterion == "mdl" else 0.0)
+        return profiled + complexity
 
     def _settle(self, key, loss, n_constants):
         """Give a law its number; a loss that is not finite is no law."""

@@ -186,7 +186,7 @@ class _Sums:
                 continue
             others = np.ones(len(self.target), dtype=bool)
             others[rows] = False
-            found = self.searched(self.nuisance, groups=[others])
+            found = self.searched(self.nuisance, seen=others)
             laws = [(split_linear(c.formula)[1], c.complexity) for c in found.candidates[:WIDTH]]
             out += [self.refitted([law]) for law in laws]
         return out
