@@ -16,8 +16,6 @@ from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.units import DIMENSIONLESS
 
-__all__ = ["Dense", "Regression", "read_problem"]
-
 MOST_DIGITS = 11
 """Of the certificates."""
 _DATA = 60
