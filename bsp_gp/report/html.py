@@ -22,7 +22,6 @@ from bsp_gp.report.numbers import (
     NOT_KNOWN,
     format_level,
     format_number,
-    format_p,
     format_ratio,
     format_value,
     is_number,
@@ -84,8 +83,7 @@ def render_html(report, run_info=None, figures=None):
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.globals.update(
-        typeset=to_svg, number=format_number, p_value=format_p, value=format_value,
-        kind=lambda k: KINDS.get(k, k),
+        typeset=to_svg, number=format_number, value=format_value, kind=lambda k: KINDS.get(k, k),
     )  # fmt: skip
     return environment.get_template("report.html").render(
         name=report.dataset.get("name") or "data", facts=_facts(report), verdict=report.verdict,
@@ -259,7 +257,6 @@ def _round(r, report):
         "held_out": _by_scene(r),
         "overturned_by": overturned_by(r),
         "certificate": r.certificate,
-        "seconds": format_number(r.seconds, 2),
     }
 
 

@@ -16,8 +16,8 @@ from bsp_gp.report.sentences import (
     adopted_rounds,
     caveats,
     constant_groups,
+    constant_lines,
     error_name,
-    group_range,
     headline,
     hidden_sentence,
     noise_sentence,
@@ -81,18 +81,14 @@ def wrapped(text, width, indent):
 
 
 def _constants(report):
-    shared, own = constant_groups(report.constants)
-    rows = [f"{c.name} = {format_constant(c)}" for c in shared]
-    each = [c for _, _, group in own for c in group]
-    if len(rows) + len(each) <= _MAX_CONSTANTS:
-        rows += [f"{c.name} of {c.entity} = {format_constant(c)}" for c in each]
-    else:
-        rows += [group_range(*group) for group in own]
-    if not rows:
+    if not report.constants:
         return []
-    if len(rows) > _MAX_CONSTANTS:
-        n_left = len(rows) - _MAX_CONSTANTS + 1
-        rows = [*rows[: _MAX_CONSTANTS - 1], f"and {n_left} more in the report"]
+    rows = constant_lines(report.constants, _MAX_CONSTANTS, "and {} more in the report")
+    if len(report.constants) <= _MAX_CONSTANTS:
+        shared, own = constant_groups(report.constants)
+        each = [*shared, *(c for _, _, group in own for c in group)]
+        rows = [f"{c.name}{f' of {c.entity}' * bool(c.entity)} = {format_constant(c)}"
+                for c in each]  # fmt: skip
     return [("Constants (90 % intervals):", ""), *((f"  {row}", "    ") for row in rows)]
 
 
