@@ -65,7 +65,11 @@ def summary_text(report: LoopReport, width: int = WIDTH) -> str:
     law = report.law_text if is_of_sight else "F = " + report.law_text
     paragraphs += [("Law: " + law, "     "), *_constants(report)]
     paragraphs += [*_rounds(report), *_traced(report)]
-    paragraphs += [*_powers(report), *_ties(report), *_dependence(report), *_noise(report)]
+    kept = adopted_rounds(report)[-2:]
+    paragraphs += [*((powers_sentence(r), "  ") for r in kept), *_ties(report)]
+    paragraphs += [(r.effect.dependence, "  ") for r in kept]
+    # What is odd about the noise of the last model, and what may be hidden beside the law.
+    paragraphs += [(noise_sentence(report.rounds[-1]), "  "), (hidden_sentence(report), "  ")]
     notes = [note for note in notes if not note.startswith(CHECK)]
     if notes:
         more = f" (more notes in the report: {len(notes) - 1})" if len(notes) > 1 else ""
@@ -117,26 +121,8 @@ def _traced(report):
     return []
 
 
-def _noise(report):
-    """What is odd about the noise of the last model, and what may be hidden beside the law."""
-    last = report.rounds[-1]
-    return [(noise_sentence(last), "  "), (hidden_sentence(report), "  ")]
-
-
-def _powers(report):
-    """Of the last two laws that were adopted."""
-    kept = [r for r in report.rounds if r.adopted and not r.removed]
-    return [(powers_sentence(r), "  ") for r in kept[-2:]]
-
-
-def _dependence(report):
-    """Whether the data tell how what was adopted depends on masses and the like."""
-    return [(r.effect.dependence, "  ") for r in adopted_rounds(report)[-2:]]
-
-
 def _ties(report):
-    rounds = [r for r in report.rounds if r.adopted and not r.removed] or report.rounds
-    for r in reversed(rounds):
+    for r in reversed(adopted_rounds(report) or report.rounds):
         if r.effect is not None and (r.effect.equivalents or r.effect.rewritten):
             n, rest = len(r.effect.equivalents), r.effect.rewritten
             text = (
