@@ -597,13 +597,9 @@ def _demo(args):
     with _Progress(args.quiet) as progress, hands(args.workers, args.cluster) as pool:
         run_info = {"argv": ["bsp-gp", *args.argv], **run_record(out)}
         report, folder = run_demo(
-            out,
-            overwrite=args.overwrite,
-            seed=args.seed,
-            workers=pool,
-            progress=progress,
+            out, overwrite=args.overwrite, seed=args.seed, workers=pool, progress=progress,
             run_info=run_info,
-        )
+        )  # fmt: skip
         args.written.append(folder)
     _finish(args, report, out)
 
@@ -710,24 +706,12 @@ def _finish(args, report, out):
 
 
 _COMMANDS = {
-    "check": _check,
-    "close": _close,
-    "sweep": _sweep,
-    "fit": _fit,
-    "infer": _infer,
-    "simulate": _simulate,
-    "make": _make,
-    "compare": _compare,
-    "grammar": _grammar,
-    "track": _track,
-    "plan": _plan,
-    "discover": _discover,
-    "show": _show,
-    "rerun": _rerun,
-    "serve": _serve,
-    "completion": _completion,
-    "demo": _demo,
-}
+    run.__name__[1:]: run
+    for run in (
+        _check, _close, _sweep, _fit, _infer, _simulate, _make, _compare, _grammar, _track, _plan,
+        _discover, _show, _rerun, _serve, _completion, _demo,
+    )
+}  # fmt: skip
 
 
 # --- work and output ------------------------------------------------------------------------------

@@ -63,9 +63,9 @@ def _first(parser):
 
 
 def _options(parser):
-    """Long options of a command that its help shows."""
+    """Long options of a command."""
     return [
         option
-        for action in parser._actions if action.help is not argparse.SUPPRESS
+        for action in parser._actions
         for option in action.option_strings if option.startswith("--")
     ]  # fmt: skip

@@ -649,25 +649,8 @@ def _loop(parser):
         help="take every row of long tracks as it is (default: dense rows are averaged over short "
         "blocks, and recordings of very many turns followed in stretches)",
     )  # fmt: skip
-    group.add_argument(
-        "--per-entity", help=argparse.SUPPRESS,
-        type=_gone("a constant for each body is proposed where one is not enough; type c[body]"),
-    )  # fmt: skip
-    group.add_argument(
-        "--guide", help=argparse.SUPPRESS,
-        type=_gone("all laws are scored on whole tracks, and the trace is told beside them"),
-    )  # fmt: skip
     _workers(parser)
     _seed(parser)
-
-
-def _gone(reason):
-    """Reader of an option that there is no more."""
-
-    def read(text):
-        raise argparse.ArgumentTypeError(f"is gone: {reason}; leave it out")
-
-    return read
 
 
 def _rounds(parser):

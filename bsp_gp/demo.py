@@ -292,14 +292,9 @@ def _turn_per_orbit(acceleration, r, v, gm):
 
     passes_perihelion.direction = 1.0
     track = solve_ivp(
-        motion,
-        (0, (ORBITS + 1.2) * period),
-        np.concatenate([r, v]),
-        method="DOP853",
-        rtol=1e-13,
-        atol=1e-6,
-        events=passes_perihelion,
-    )
+        motion, (0, (ORBITS + 1.2) * period), np.concatenate([r, v]), method="DOP853", rtol=1e-13,
+        atol=1e-6, events=passes_perihelion,
+    )  # fmt: skip
     places, moments = track.y_events[0], track.t_events[0]
     if len(places) < ORBITS + 1:
         raise EvaluationError("the orbit under the adopted law does not return to its perihelion")

@@ -24,14 +24,9 @@ def _frozen(mapping):
 copyreg.pickle(MappingProxyType, lambda mapping: (_frozen, (dict(mapping),)))
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
 _DIMENSION = {
-    "[mass]": 0,
-    "[length]": 1,
-    "[time]": 2,
-    "[current]": 3,
-    "[temperature]": 4,
-    "[substance]": 5,
+    "[mass]": 0, "[length]": 1, "[time]": 2, "[current]": 3, "[temperature]": 4, "[substance]": 5,
     "[luminosity]": 6,
-}
+}  # fmt: skip
 _ALLOWED = re.compile(r"[A-Za-zµμ°ΩÅ☉⊙0-9_^*/().\-+ ]{1,60}")
 _TOWER = re.compile(
     r"(\^|\*\*)[^ */]*(\^|\*\*)|(\^|\*\*)\s*[-+(]*\d{3,}|[eE]\d{3,}|\d\s*\(|\*\*.*\*\*"
@@ -332,11 +327,6 @@ class UnitSystem:
     def is_angle(self):
         """Whether angles stand in the place of places: rad for m."""
         return self.symbols.get("m") == "rad"
-
-    @property
-    def is_speed(self):
-        """Whether velocities stand in the place of places."""
-        return is_speed(self.symbols.get("m", "m"))
 
     @property
     def is_si(self):

@@ -26,8 +26,6 @@ from bsp_gp.errors import BspError
 from bsp_gp.simulate.effects import effect
 from bsp_gp.simulate.layouts import polar
 
-__all__ = ["AS_IT_IS", "KINDS", "Kind", "Made", "able", "noisy", "tuned_to"]
-
 FORCES = (
     "linear drag", "quadratic drag", "uniform wind", "magnetic", "spring to a point",
     "periodic push", "friction on a mat", "pair force", "changed exponent",

@@ -13,8 +13,6 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types, stack
 from bsp_gp.physics.force import ForceLaw, Term
 
-__all__ = ["LAWS", "Cause", "Judge", "causes_of", "declared_law", "is_adopted", "start_of"]
-
 PERIOD = 0.5
 """Of every periodic push, s."""
 SAME_FORM = 1e-5

@@ -16,8 +16,6 @@ from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.units import DIMENSIONLESS
 
-__all__ = ["Dense", "Regression", "read_problem"]
-
 MOST_DIGITS = 11
 """Of the certificates."""
 _DATA = 60
@@ -93,14 +91,11 @@ def read_problem(path):
     rows = re.findall(r"^ *b\d+ =(.*)$", text, re.MULTILINE)
     table = np.array([row.split() for row in rows], dtype=float)
     return Regression(
-        name=path.stem,
-        level=re.search(r"(\w+) Level of Difficulty", text).group(1),
-        starts=table[:, :2].T,
-        certified=table[:, 2],
-        errors=table[:, 3],
+        name=path.stem, level=re.search(r"(\w+) Level of Difficulty", text).group(1),
+        starts=table[:, :2].T, certified=table[:, 2], errors=table[:, 3],
         chisqr=float(re.search(r"Residual Sum of Squares: +(\S+)", text).group(1)),
         model=_model(text, data),
-    )
+    )  # fmt: skip
 
 
 def _model(text, data):

@@ -41,7 +41,6 @@ def _hold(out):
     """Keep other processes out of the folder; refuse one that is not of a study, or the data's."""
     _HELD.close()
     try:
-        _adopt(out)
         place = _HELD.enter_context(claim(out, "study", inputs=(data_root(),), overwrite=True))
         if not (place.path / MARK).exists():
             with place.fill("study"):  # marked before a file goes into a folder below it
@@ -56,16 +55,6 @@ def _end(error):
     """End the study with one line, as commands end."""
     print(f"{Path(sys.argv[0]).name}: error: {error}", file=sys.stderr)
     sys.exit(2)
-
-
-def _adopt(out):
-    """Mark a folder of `run_jobs` from before there were marks: its table begins with the jobs."""
-    table = out / "results.csv"
-    if table.is_file() and not (out / MARK).exists():
-        with table.open("rb") as file:
-            if file.read(4) == b"job,":
-                ours = [p.name for p in out.iterdir() if p.suffix in (".csv", ".md", ".png")]
-                write_mark(out, Mark("study", dict.fromkeys(ours, "")))
 
 
 @contextlib.contextmanager

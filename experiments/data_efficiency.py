@@ -15,7 +15,7 @@ from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import one_step_nrmse
 from bsp_gp.search.compare import STRATEGIES, certified, run_one
-from bsp_gp.search.cross_entropy import PRESETS
+from bsp_gp.search.cross_entropy import CrossEntropy
 from bsp_gp.search.objective import Objective
 from bsp_gp.search.run import Budget
 
@@ -23,8 +23,11 @@ SIGMA = 1e-3
 TEST = [str(k) for k in range(81, 101)]
 COLLIDING = {"nbody": ("82", "84", "97")}
 """Test scenes in which bodies touch: gravity alone leaves 1.2e-2 on all, nothing on the others."""
+PAPER = CrossEntropy(
+    1000, 10, 800, 200.0, distinct=False, uniform_share=0.0, patience=None, pool=None
+)
 LEARNERS = {"cross_entropy": STRATEGIES["cross_entropy"], "genetic": STRATEGIES["genetic"],
-            "paper": PRESETS["paper"]}  # fmt: skip
+            "paper": PAPER}  # fmt: skip
 BUDGETS = {"cross_entropy": Budget(n_scored=20_000), "genetic": Budget(n_scored=20_000),
            "paper": Budget(n_steps=4)}  # fmt: skip
 """The paper's preset draws one population and four more."""

@@ -13,8 +13,6 @@ from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.proposers.hidden import Hidden
 from bsp_gp.units import UnitSystem
 
-__all__ = ["GRAVITY", "HIDDEN_MASS", "Sought", "discs", "sought"]
-
 GRAVITY = "1 [m^3/kg/s^2] * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
 UNITS = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})
 ALPHA = 0.01

@@ -9,11 +9,6 @@ from scipy.stats import chi2, norm
 
 from bsp_gp.errors import BspError
 
-__all__ = [
-    "FAILED", "calibrated", "fitted", "judge_agreement", "judge_bound", "judge_noise",
-    "judge_within", "noise_level",
-]  # fmt: skip
-
 FAILED = ("nonfinite", "unconverged", "aliased")
 """Statuses of a fit that is none."""
 QUANTILE = 0.999

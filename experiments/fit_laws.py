@@ -8,8 +8,6 @@ from fit_worlds import anchor, moving
 
 from bsp_gp.data.scene import Entity
 
-__all__ = ["CASES", "Case", "case"]
-
 CENTRE = (0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)

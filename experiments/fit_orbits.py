@@ -7,8 +7,6 @@ import numpy as np
 from fit_tracks import Shot, World, growth, integrated
 from fit_worlds import anchor, between, moving
 
-__all__ = ["orbits"]
-
 CENTRAL = "k * m_i * sun_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
 MUTUAL = "g * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
 DRAG = "-c * m_i * v_i"

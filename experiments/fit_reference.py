@@ -6,8 +6,6 @@ import numpy as np
 from fit_tracks import jacobian, positions_of
 from scipy.optimize import least_squares
 
-__all__ = ["Reference", "reference"]
-
 SMOOTHEST = 6
 """Gauss-Newton steps after scipy's, to the last digit."""
 EDGE = 1e-6

@@ -25,8 +25,6 @@ from fit_orbits import orbits
 from fit_summary import summary
 from fit_worlds import exponent, oscillator, pendulum_noise, push
 
-__all__ = ["STUDIES", "Study", "data_world", "main", "work"]
-
 CALIBRATED = (
     "quadratic drag", "damped spring", "central gravity", "pendulum", "periodic push", "screened",
 )  # fmt: skip

@@ -5,8 +5,6 @@ import pandas as pd
 from ranks import simultaneous_band
 from scipy.stats import chisquare, kstest
 
-__all__ = ["rank_lines", "summary"]
-
 LEVEL = 0.01
 """Of all tests of ranks together."""
 N_BINS = 10

@@ -14,11 +14,6 @@ from scipy.integrate import solve_ivp
 from bsp_gp.data.scene import Dataset, Scene
 from bsp_gp.units import UnitSystem
 
-__all__ = [
-    "Shot", "World", "bound", "dataset_of", "growth", "integrated", "jacobian", "linear",
-    "misfit_gap", "positions_of", "reduced",
-]  # fmt: skip
-
 SI = UnitSystem.from_declared({"length": "m", "time": "s", "mass": "kg"})
 RTOL = 1e-12
 RTOL_COPIES = 1e-10

@@ -8,8 +8,6 @@ from fit_tracks import Shot, World, growth, integrated, linear, positions_of
 
 from bsp_gp.data.scene import Entity
 
-__all__ = ["exponent", "oscillator", "pendulum_noise", "push", "rows_over"]
-
 TIE = "-k * (p_i - p_j)"
 STRETCHED = "-k * (norm(p_i - p_j) - l_j) * normalize(p_i - p_j)"
 SINE = "-a * m_i * sin(dot(p_i - p_j, e_x) / 1 [m]) * e_x"

@@ -7,8 +7,6 @@ import numpy as np
 
 from bsp_gp.data.scene import Entity
 
-__all__ = ["LAYOUTS", "STIFFNESS", "Layout", "unit", "weight"]
-
 G_EARTH, STIFFNESS = 9.81, 4.0
 PULL = "G * m_i * m_j / norm(p_i - p_j)^2 * normalize(p_j - p_i)"
 

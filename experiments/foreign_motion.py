@@ -11,8 +11,6 @@ from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.errors import FitError
 from bsp_gp.units import DIMENSIONLESS, UnitSystem
 
-__all__ = ["At", "Plan", "Truth", "moved"]
-
 RTOL, ATOL = 1e-10, 1e-12
 FEW, MANY = (3, 6), (6, 13)
 ROWS = (50, 201)

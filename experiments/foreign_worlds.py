@@ -10,8 +10,6 @@ from dataclasses import dataclass
 import foreign_forces as f
 import numpy as np
 
-__all__ = ["ASIDE", "KINDS", "Kind"]
-
 ASIDE = ("medium", "friction")
 """Families that are looked at once, at the end."""
 

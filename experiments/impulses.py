@@ -19,8 +19,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Contacts", "Evidence", "MotionNoise", "motion_evidence"]
-
 
 @dataclass(frozen=True)
 class MotionNoise:

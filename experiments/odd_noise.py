@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-__all__ = ["ASIDE", "NOISES", "Noise"]
-
 ASIDE = ("multiplicative", "times on a grid")
 DEGREES = 3.0
 SHARE, FAR = 0.03, 8.0

@@ -8,8 +8,6 @@ from causes import Judge, causes_of, is_adopted
 from bsp_gp.errors import BspError
 from bsp_gp.physics.force import ForceLaw
 
-__all__ = ["OUTCOMES", "OUTCOMES_OF_NULL", "Referee", "judge_foreign", "judge_null"]
-
 OUTCOMES = ("fact", "class", "effective", "open", "neighbour", "wrong", "missed")
 ORDER = ("wrong", "neighbour", "fact", "class", "effective", "open")
 """In which rounds count."""

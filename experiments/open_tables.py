@@ -3,8 +3,6 @@
 import numpy as np
 from open_judge import OUTCOMES, OUTCOMES_OF_NULL
 
-__all__ = ["NULL", "figure", "interval", "summary"]
-
 NULL = "odd noise"
 """Family of sets that lack nothing."""
 N_DRAWS = 2000

@@ -251,7 +251,6 @@ def declare(parser):
     parser.add_argument("--sets", type=int, default=N_SETS, help=f"default {N_SETS}")
     parser.add_argument("--snr", type=float, nargs="+", choices=SNRS, default=SNRS)
     parser.add_argument("--aside", action="store_true", help="with what is set aside")
-    parser.add_argument("--resume", action="store_true", help="as it is without")
 
 
 def main():

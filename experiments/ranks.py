@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["coverage", "rank_of", "simultaneous_band"]
-
 
 def rank_of(truth, draws, weights, *, rng):
     """Weighted rank of a true value among draws, uniform on (0, 1) if calibrated; ties at random.

@@ -54,14 +54,11 @@ def track_movie(name):
     walls = arena(picture)
     regions = mats(picture, seen, {c: parse_colour(h) for c, h in MATS.items()}, walls)
     return Movie(
-        name,
-        track.positions,
-        tuple(n.rstrip("0123456789") for n in track.names),
+        name, track.positions, tuple(n.rstrip("0123456789") for n in track.names),
         np.array([track.radii[n] for n in track.names]),
         tuple((r.colour, *map(float, r.box), float(r.hidden)) for r in regions),
-        tuple(map(float, walls.box)),
-        video.fps,
-    )
+        tuple(map(float, walls.box)), video.fps,
+    )  # fmt: skip
 
 
 def load_movie(name, folder):

@@ -26,6 +26,7 @@ from bsp_gp.inference.profile import FixedConstants, fit_profile
 from bsp_gp.inference.tracks import Softened, is_point, reweighted
 from bsp_gp.randomness import generator
 
+PRIOR_DRAWS = 1000
 METHODS = ("auto", "emcee", "importance", "laplace", "tempered", "enumeration")
 
 
@@ -102,13 +103,13 @@ def infer(law, scenes, latents, likelihood, *, rng=None, settings=None, previous
     return joined(parts, latents.names, rng=streams[0])
 
 
-def prior_posterior(latents, *, rng, n_draws=1000):
+def prior_posterior(latents, *, rng):
     """The posterior before any law: draws from the prior (a law of zero force says nothing)."""
-    values = latents.sample(n_draws, rng=rng)
+    values = latents.sample(PRIOR_DRAWS, rng=rng)
     k = len(latents)
     return Posterior(
-        latents.names, values, np.full(n_draws, 1 / n_draws), latents.log_prior(values), "prior",
-        np.full(k, float(n_draws)), np.full(k, np.nan),
+        latents.names, values, np.full(PRIOR_DRAWS, 1 / PRIOR_DRAWS), latents.log_prior(values),
+        "prior", np.full(k, float(PRIOR_DRAWS)), np.full(k, np.nan),
         priors=tuple(item.prior for item in latents.items), truth=latents.truth, walkers={},
     )  # fmt: skip
 

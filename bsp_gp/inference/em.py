@@ -130,9 +130,9 @@ class EmResult:
     seconds: float
     notes: tuple[str, ...] = ()
 
-    def equivalents(self, nats=CLASS_NATS):
-        """Laws that fit within some nats of the best: the class that the data do not separate."""
-        return tuple(c for c in self.contenders if c.loss <= self.contenders[0].loss + nats)
+    def equivalents(self):
+        """Laws within `CLASS_NATS` of the best: the class that the data do not separate."""
+        return tuple(c for c in self.contenders if c.loss <= self.contenders[0].loss + CLASS_NATS)
 
     def text(self, most=12):
         """Law, class and posterior as text for a terminal."""
@@ -154,19 +154,9 @@ class EmResult:
 
 
 def fit_em(
-    scenes,
-    latents,
-    grammar,
-    likelihood,
-    *,
-    rng=None,
-    settings=None,
-    m_step=None,
-    base=None,
-    kinds=None,
-    e_likelihood=None,
-    progress=None,
-):
+    scenes, latents, grammar, likelihood, *, rng=None, settings=None, m_step=None, base=None,
+    kinds=None, progress=None,
+):  # fmt: skip
     """Learn a law and the unknown properties together.
 
     Parameters
@@ -176,7 +166,7 @@ def fit_em(
     grammar : Grammar
         Masked to the data.
     likelihood : Likelihood
-        Of the beam; the M-step uses its one-step form.
+        The M-step uses its one-step form.
     rng : numpy.random.Generator, int or None
     settings : EmSettings, optional
     m_step : object with ``candidates``, optional
@@ -185,8 +175,6 @@ def fit_em(
         Terms that are there already; what is found is added to them.
     kinds : sequence of str, optional
         Kinds of law, by default all of the grammar.
-    e_likelihood : Likelihood, optional
-        Of the E-step, by default that of the beam.
     progress : callable, optional
         ``progress(text)``.
 
@@ -204,7 +192,7 @@ def fit_em(
         run = _Em(
             tuple(scenes), latents, grammar, likelihood, settings or EmSettings(),
             m_step or Exhaustive(), base or ForceLaw(), tuple(kinds or grammar.start),
-            e_likelihood or likelihood, progress or (lambda text: None),
+            progress or (lambda text: None),
         )  # fmt: skip
         return run.result(generator(rng), started)
 
@@ -221,7 +209,6 @@ class _Em:
     m_step: object
     base: ForceLaw
     kinds: tuple
-    e_likelihood: object
     progress: object
 
     def __post_init__(self):
@@ -257,7 +244,7 @@ class _Em:
             return mine[-1].posterior
         self.progress("posterior under the found law")
         return infer(
-            best.law, self.scenes, self.latents, self.e_likelihood.for_posterior, rng=rng,
+            best.law, self.scenes, self.latents, self.likelihood.for_posterior, rng=rng,
             settings=self.settings.final,
         )  # fmt: skip
 
@@ -267,11 +254,7 @@ class _Em:
         self.progress("constants and latents together")
         try:
             joint = refine(
-                best.profile,
-                self.scenes,
-                self.latents,
-                self.likelihood.for_posterior,
-                rng=rng,
+                best.profile, self.scenes, self.latents, self.likelihood.for_posterior, rng=rng,
                 settings=self.settings.final,
             )  # fmt: skip  (None: the defaults)
         except FitError as error:
@@ -307,7 +290,7 @@ class _Em:
                 settled = True
             self.progress(f"start {start + 1}, iteration {iteration}: E-step")
             posterior = infer(
-                best.law, self.scenes, self.latents, self.e_likelihood, rng=e_rng,
+                best.law, self.scenes, self.latents, self.likelihood, rng=e_rng,
                 settings=settings.e_step, previous=posterior,
             )  # fmt: skip
             expected = float(posterior.weights @ posterior.log_prob)

@@ -21,18 +21,9 @@ DEAD_MOVES = 0.02
 
 
 def sample_ensemble(
-    log_prob,
-    names,
-    start,
-    *,
-    rng,
-    n_eff=1000,
-    max_steps=20_000,
-    n_walkers=None,
-    keep_chain=False,
-    low=None,
+    log_prob, names, start, *, rng, n_eff=1000, max_steps=20_000, keep_chain=False, low=None,
     high=None,
-):
+):  # fmt: skip
     """Sample a density with an ensemble of walkers.
 
     Parameters
@@ -46,8 +37,6 @@ def sample_ensemble(
         Effective sample size of the worst parameter to stop at.
     max_steps : int
         Bound; a chain that has not got there is returned, with the reason.
-    n_walkers : int, optional
-        Even, at least 2k + 2; by default 32 or 4k.
     low, high : ndarray, shape (k,), optional
         Bounds of the support, to keep start places inside.
 
@@ -64,20 +53,11 @@ def sample_ensemble(
     import emcee  # a slow import
 
     k = len(names)
-    n_walkers = n_walkers or max(32, 4 * k)
-    n_walkers += n_walkers % 2
+    n_walkers = max(32, 4 * k)
     places = _start_places(log_prob, np.atleast_2d(start), n_walkers, low, high, rng)
-    sampler = emcee.EnsembleSampler(
-        n_walkers,
-        k,
-        log_prob,
-        vectorize=True,
-        moves=[
-            (emcee.moves.StretchMove(), 0.4),
-            (emcee.moves.DEMove(), 0.5),
-            (emcee.moves.DESnookerMove(), 0.1),
-        ],
-    )
+    moves = [(emcee.moves.StretchMove(), 0.4), (emcee.moves.DEMove(), 0.5),
+             (emcee.moves.DESnookerMove(), 0.1)]  # fmt: skip
+    sampler = emcee.EnsembleSampler(n_walkers, k, log_prob, vectorize=True, moves=moves)
     # The sampler's own seed argument is ignored silently: the state carries the generator.
     seed = np.random.RandomState(int(rng.integers(2**32))).get_state()
     state = emcee.State(places, random_state=seed)

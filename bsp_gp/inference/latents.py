@@ -255,7 +255,7 @@ class PropertyTable:
 # --- making latents -------------------------------------------------------------------------------
 
 
-def declared_latents(dataset, scenes=None, *, columns=None):
+def declared_latents(dataset, scenes=None):
     """Latents of a data set as its ``[latent.*]`` tables declare them.
 
     Parameters
@@ -263,36 +263,25 @@ def declared_latents(dataset, scenes=None, *, columns=None):
     dataset : Dataset
     scenes : sequence of Scene, optional
         By default all of them.
-    columns : sequence of str, optional
-        Only these properties.
 
     Raises
     ------
     SettingsError
-        If nothing is declared, or a property asked for is not.
+        If nothing is declared.
     """
     scenes = dataset.scenes if scenes is None else scenes
-    present = {d.name: d for d in dataset.latents}
-    missing = [c for c in columns or () if c not in present]
-    if missing or not present:
-        what = missing[0] if missing else "anything"
+    if not dataset.latents:
         raise SettingsError(
-            f"nothing declares {what} latent; write [latent.{missing[0] if missing else 'mass'}] "
-            "with a prior in dataset.toml, or --prior on the command line"
+            "nothing declares anything latent; write [latent.mass] with a prior in dataset.toml, "
+            "or --prior on the command line"
         )
-    out = Latents()
-    for name, declaration in present.items():
-        if columns and name not in columns:
-            continue
-        more = latents_of(
-            scenes,
-            name,
-            prior_of(declaration),
-            entities=declaration.entities or None,
-            share=declaration.share,
-        )
-        out = Latents((*out.items, *more.items))
-    return out
+    items = []
+    for declared in dataset.latents:
+        items += latents_of(
+            scenes, declared.name, prior_of(declared), entities=declared.entities or None,
+            share=declared.share,
+        ).items  # fmt: skip
+    return Latents(tuple(items))
 
 
 def latents_of(scenes, column, prior, *, entities=None, share="entity"):

@@ -7,8 +7,6 @@ import numpy as np
 from bsp_gp.physics.regression import stack_draws
 from bsp_gp.search.constants import linear_columns
 from bsp_gp.search.exhaustive import search_exhaustive
-from bsp_gp.search.objective import Objective
-from bsp_gp.search.run import run_search
 
 
 def averaged_regression(scenes, latents, draws, weights, likelihood):
@@ -46,41 +44,6 @@ class Exhaustive:
                 regression, grammar, kind=kind, max_levels=self.max_levels, top_k=self.top_k,
                 target=target, nuisance=nuisance,
             )  # fmt: skip
-            out += result.candidates
-            scored += result.n_evaluated
-        return sorted(out, key=lambda c: c.loss), scored
-
-
-@dataclass(frozen=True)
-class WithSearch:
-    """Cross-entropy, genetic or random search as the M-step.
-
-    Attributes
-    ----------
-    strategy : Search
-    budget : Budget
-    beta : float
-        Weight of the complexity in the objective.
-    keep : int
-        Laws handed on.
-    """
-
-    strategy: object
-    budget: object
-    beta: float = 1e-3
-    keep: int = 100
-
-    def candidates(self, regression, grammar, kinds, base, rng):
-        """Candidates of all kinds, lowest loss first, and how many laws were scored."""
-        target, nuisance = _given(regression, base)
-        out, scored = [], 0
-        for kind, stream in zip(kinds, rng.spawn(len(kinds)), strict=True):
-            objective = Objective(
-                regression, grammar, kind, beta=self.beta, target=target, nuisance=nuisance
-            )
-            result = run_search(
-                self.strategy, objective, self.budget, rng=stream, keep=self.keep, is_part=True
-            )
             out += result.candidates
             scored += result.n_evaluated
         return sorted(out, key=lambda c: c.loss), scored

@@ -1,6 +1,6 @@
 """Posteriors: named draws with weights, how far they can be trusted, and their tables."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from html import escape
 
 import numpy as np
@@ -144,21 +144,6 @@ class Posterior:
         )
         return self.draws[index], np.full(n_draws, 1 / n_draws)
 
-    def select(self, names):
-        """The marginal posterior of some names."""
-        index = [self.names.index(name) for name in names]
-        return replace(
-            self,
-            names=tuple(names),
-            draws=self.draws[:, index],
-            n_eff=self.n_eff[index],
-            r_hat=self.r_hat[index],
-            priors=tuple(self.priors[k] for k in index),
-            truth=self.truth[index],
-            walkers=None,
-            chain=None if self.chain is None else self.chain[:, :, index],
-        )
-
     def summary(self):
         """Table of every name: mean, sd, 90 % interval, effective sample size, R-hat.
 
@@ -262,21 +247,14 @@ def joined(parts, names, *, rng):
         acceptance = [p.acceptance for p in parts if np.isfinite(p.acceptance)]
         times = [p.autocorr_time for p in parts if np.isfinite(p.autocorr_time)]
     return Posterior(
-        tuple(names),
-        np.stack([draws for _, _, draws in order], axis=1),
-        np.full(n_draws, 1 / n_draws),
-        log_prob,
-        ", ".join(methods),
-        each("n_eff"),
-        each("r_hat"),
+        tuple(names), np.stack([draws for _, _, draws in order], axis=1),
+        np.full(n_draws, 1 / n_draws), log_prob, ", ".join(methods), each("n_eff"), each("r_hat"),
         float(np.mean(acceptance)) if acceptance else np.nan,
-        float(np.max(times)) if times else np.nan,
-        all(part.converged for part in parts),
-        tuple(part.priors[k] for part, k, _ in order),
-        each("truth"),
+        float(np.max(times)) if times else np.nan, all(part.converged for part in parts),
+        tuple(part.priors[k] for part, k, _ in order), each("truth"),
         tuple(dict.fromkeys(note for part in parts for note in part.notes)),
         {part.names: part.walkers for part in parts},
-    )
+    )  # fmt: skip
 
 
 def effective_size(weights):
@@ -294,7 +272,7 @@ def weights_of(log_weight):
     return weights / weights.sum()
 
 
-def split_r_hat(chain, n_groups=4):
+def split_r_hat(chain):
     """Split R-hat of every parameter (Gelman et al. 2013, section 11.4).
 
     The walkers of an ensemble are pooled into groups, each of which counts as one chain, cut in
@@ -310,7 +288,7 @@ def split_r_hat(chain, n_groups=4):
         nan for fewer than four steps.
     """
     half = len(chain) // 2
-    n_groups = min(n_groups, chain.shape[1])
+    n_groups = min(4, chain.shape[1])
     if half < 2:
         return np.full(chain.shape[2], np.nan)
     each = chain.shape[1] // n_groups

@@ -10,6 +10,9 @@ from bsp_gp.physics.bodies import Batch, stack
 from bsp_gp.physics.dynamics import rollout
 from bsp_gp.physics.likelihood import build_regression
 
+N_DRAWS = 200
+"""Of the posterior, for its bands."""
+
 
 def posterior_nrmse(law, scenes, latents, draws, *, reference=None, up=None):
     """The paper's nRMSE of every scene, averaged over draws of the latents.
@@ -67,40 +70,26 @@ class Bands:
     observed: np.ndarray
 
 
-def predictive_bands(
-    law,
-    scene,
-    latents,
-    posterior,
-    *,
-    rng,
-    n_draws=200,
-    sigma=None,
-    integrator="euler",
-    probability=0.9,
-    up=None,
-):
+def predictive_bands(law, scene, latents, posterior, *, rng, integrator="euler", up=None):
     """Roll a scene out from its first rows under draws of the posterior.
 
     Parameters
     ----------
     posterior : Posterior
         Over the latents, and over the constants if they were sampled too.
-    sigma : float, optional
-        Measurement noise to add to the bands, metres.
     """
     (batch,) = stack([scene], up)
     mine, _ = latents.of_scenes([scene.name])
-    draws = posterior.draw(n_draws, rng=rng)
+    draws = posterior.draw(N_DRAWS, rng=rng)
     column = {name: k for k, name in enumerate(posterior.names)}
     values = draws[:, [column[name] for name in mine.names]]
     table = PropertyTable(batch.bodies, (scene.name,), mine)
-    bodies = repeated(batch.bodies, n_draws, table.columns(values))
+    bodies = repeated(batch.bodies, N_DRAWS, table.columns(values))
     names = tuple(n for n in law.names if n in column and not hasattr(law.constants[n], "items"))
     constants = np.stack([draws[:, column[n]] for n in names], axis=1) if names else None
-    given = constant_values(law, names, constants if names else np.zeros((n_draws, 0)), bodies)
+    given = constant_values(law, names, constants if names else np.zeros((N_DRAWS, 0)), bodies)
     many = Batch(
-        (scene,) * n_draws, bodies, *(np.repeat(a, n_draws, axis=1) for a in
+        (scene,) * N_DRAWS, bodies, *(np.repeat(a, N_DRAWS, axis=1) for a in
                                       (batch.times, batch.positions)), None
     )  # fmt: skip
     receivers = bodies.receivers
@@ -109,10 +98,7 @@ def predictive_bands(
     late = replace(many, times=many.times[1:], positions=many.positions[1:])
     tracks = rollout(law, late, p, v, integrator=integrator, values=given)
     tracks = np.concatenate([many.positions[:1][:, :, receivers], tracks])
-    if sigma:
-        tracks = tracks + sigma * rng.standard_normal(tracks.shape)
-    tail = (1 - probability) / 2
-    low, median, high = np.nanquantile(tracks, [tail, 0.5, 1 - tail], axis=1)
+    low, median, high = np.nanquantile(tracks, [0.05, 0.5, 0.95], axis=1)
     return Bands(
         scene.name, batch.bodies.receiver_names[0], scene.times, median, low, high,
         scene.positions[:, receivers],

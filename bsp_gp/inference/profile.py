@@ -66,7 +66,7 @@ class Profile:
         return self.jacobian.T @ self.jacobian + np.diag(self.pull)
 
 
-def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf):
+def fit_profile(misfit, starts, *, give_up=np.inf):
     """Fit latents and constants of a law together.
 
     Discrete latents end at values of their sets: the best of the nearest values and of the starts,
@@ -81,9 +81,9 @@ def fit_profile(misfit, starts, *, max_iterations=MAX_ITERATIONS, give_up=np.inf
     """
     problem = _Problem(misfit)
     first = problem.initial(np.atleast_2d(np.asarray(starts, dtype=float)))
-    x, loss = _descend(problem, first.copy(), max_iterations, give_up)
+    x, loss = _descend(problem, first.copy(), give_up)
     if problem.is_discrete.any() and loss.min() <= give_up:  # fits no worse between its values
-        x, loss = _on_values(problem, np.concatenate([x, first]), max_iterations)
+        x, loss = _on_values(problem, np.concatenate([x, first]))
     return problem.profile(x, loss)
 
 
@@ -106,15 +106,15 @@ class FixedConstants:
         return self.misfit.residual(values)
 
 
-def _descend(problem, x, max_iterations, give_up=np.inf):
+def _descend(problem, x, give_up=np.inf):
     """Damped Gauss-Newton from every row; the places it ends in and their losses."""
     damping = np.full(len(x), 1e-3)
     r = problem.residual(x)
     loss = problem.loss(r, x)
     slow = np.zeros(len(x), dtype=int)
-    for iteration in range(max_iterations):
+    for iteration in range(MAX_ITERATIONS):
         live = np.flatnonzero((slow < 3) & (loss > ENOUGH) & np.isfinite(loss))
-        if not len(live) or (3 * iteration > max_iterations and loss.min() > give_up):
+        if not len(live) or (3 * iteration > MAX_ITERATIONS and loss.min() > give_up):
             break
         trial = problem.step(x[live], r[live], damping[live])
         trial_r = problem.residual(trial)
@@ -130,10 +130,10 @@ def _descend(problem, x, max_iterations, give_up=np.inf):
     return x, loss
 
 
-def _on_values(problem, x, max_iterations):
+def _on_values(problem, x):
     """Discrete latents at values of their sets: the nearest ones, then single changes that help."""
     problem.holds_discrete = True
-    x, loss = _descend(problem, problem.with_constants(problem.on_values(x)), max_iterations)
+    x, loss = _descend(problem, problem.with_constants(problem.on_values(x)))
     best = np.argsort(loss, kind="stable")[:CHANGED]
     x, loss = x[best], loss[best]
     for row in range(len(x)):
@@ -147,7 +147,7 @@ def _on_values(problem, x, max_iterations):
             if not trial_loss[k] < loss[row] * (1 - SLOW):
                 break
             x[row], loss[row] = trial[k], trial_loss[k]
-    return _descend(problem, x, max_iterations)
+    return _descend(problem, x)
 
 
 class _Problem:
@@ -313,17 +313,11 @@ class _Problem:
         )
         pull = np.concatenate([np.square(self.weight / self.unit), np.zeros(len(constants))])
         return Profile(
-            law,
-            self._exact(self.values(z[None])[0]) if self.k else np.zeros(0),
-            constants,
-            float(loss[best]),
-            float(np.square(r).sum() + self.misfit.rest.sum()),
-            jacobian / units,
-            pull,
-            ((z <= self.low) | (z >= self.high)) & ~self.is_discrete,
-            np.sort(loss),
+            law, self._exact(self.values(z[None])[0]) if self.k else np.zeros(0), constants,
+            float(loss[best]), float(np.square(r).sum() + self.misfit.rest.sum()), jacobian / units,
+            pull, ((z <= self.low) | (z >= self.high)) & ~self.is_discrete, np.sort(loss),
             self.misfit.n_rows,
-        )
+        )  # fmt: skip
 
 
 def linear_constants(misfit, values):

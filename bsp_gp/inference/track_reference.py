@@ -16,7 +16,7 @@ from bsp_gp.inference.misfit import misfit_of
 from bsp_gp.inference.profile import FixedConstants, Profile, fit_profile
 from bsp_gp.inference.track_bank import TrackBank
 from bsp_gp.inference.track_path import curve_paths, paths_of
-from bsp_gp.inference.track_world import RISE, SETTLINGS, Tracks, TrackWorld
+from bsp_gp.inference.track_world import RISE, Tracks, TrackWorld
 from bsp_gp.physics.bodies import stack
 
 GROWTH, LEAST_ROWS = 3, 4
@@ -60,7 +60,7 @@ class Reference:
     is_settled: bool
     has_modes: bool = False
 
-    def exact_chisq(self, values, constants, settlings=SETTLINGS):
+    def exact_chisq(self, values, constants):
         """Whitened sums of squares of the tracks with nodes settled anew at each draw, (W,).
 
         Parameters
@@ -74,7 +74,7 @@ class Reference:
         nodes = [np.tile(own, len(values)) for own in self.nodes]
         shootings = tracks.shootings(values, constants)
         for shooting, own in zip(shootings, nodes, strict=True):
-            _, parts = tracks.settled_group(shooting, own, settlings)
+            _, parts = tracks.settled_group(shooting, own)
             out += parts.reshape(len(values), -1).sum(axis=1)
         return out
 
@@ -181,7 +181,7 @@ class _Climb:
         shootings = self.tracks.shootings(values[None], constants[None], rows)
         total, moved = self._pull(values), []
         for shooting, own in zip(shootings, nodes, strict=True):
-            own, chisq = self.tracks.settled_group(shooting, own, SETTLINGS)
+            own, chisq = self.tracks.settled_group(shooting, own)
             moved.append(own)
             total += float(chisq.sum())
         self._trial = moved

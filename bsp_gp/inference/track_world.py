@@ -104,12 +104,12 @@ class Tracks:
             variance = np.where(quoted, np.square(chains.sigma), variance)
         return ChainNoise(chains.times, np.where(np.isfinite(chains.observed), variance, np.nan))
 
-    def settled_group(self, shooting, nodes, times):
+    def settled_group(self, shooting, nodes):
         """Nodes after steps of the states alone, and what they leave per chain, (S,)."""
         mesh = shooting.flow.mesh(nodes)
         still = np.zeros(len(shooting.constants))
         best = (np.inf, nodes, np.full(shooting.chains.n_chains, np.inf))
-        for _ in range(times):
+        for _ in range(SETTLINGS):
             *_, condensed = shooting.linearise(shooting.constants, nodes, mesh)
             chisq = squares_of(shooting, condensed)
             total = float(chisq.sum())

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bsp_gp.language.formula import Constant, Input, evaluate, factors, product, walk
+from bsp_gp.language.formula import Constant, evaluate, factors, input_types_of, product
 from bsp_gp.language.inputs import property_of
 
 N_POINTS, N_DRAWS = 24, 4
@@ -68,11 +68,8 @@ def _ratio(above, below, points, constants):
 
 def _points(formula, n_dims):
     """Random values of all inputs of a formula, the same for an input in every formula."""
-    return {
-        node.name: _value(node.name, node.type, n_dims)
-        for node in walk(formula)
-        if isinstance(node, Input)
-    }
+    types = input_types_of(formula)
+    return {name: _value(name, type_, n_dims) for name, type_ in types.items()}
 
 
 class _Discs:

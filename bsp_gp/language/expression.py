@@ -7,7 +7,6 @@ An `Expression` says how a grammar derives a law; `to_formula` says what the law
 import threading
 import weakref
 
-from bsp_gp.errors import GrammarError
 from bsp_gp.language.formula import Call
 from bsp_gp.language.grammar import Slot, fill
 
@@ -62,7 +61,7 @@ class Expression:
         return (Expression, (self.rule, self.children))
 
     def __repr__(self):
-        return f"Expression({to_lists(self)})"
+        return f"Expression({self.rule}, {list(self.children)})"
 
     def rules(self):
         """Yield the rule index of every node, parents before children, left to right."""
@@ -77,23 +76,6 @@ def to_formula(expression, grammar):
     """What the derivation means: its rule bodies filled in."""
     children = [to_formula(child, grammar) for child in expression.children]
     return fill(grammar.rules[expression.rule].body, children)
-
-
-def to_lists(expression):
-    """Nested lists ``[rule, child, ...]`` for JSON."""
-    return [expression.rule, *(to_lists(child) for child in expression.children)]
-
-
-def from_lists(lists, grammar):
-    """Read an expression back; GrammarError if it is not a derivation of this grammar."""
-    rule = lists[0]
-    if not isinstance(rule, int) or not 0 <= rule < len(grammar.rules):
-        raise GrammarError(f"no rule {rule!r} in grammar {grammar.name}")
-    children = tuple(from_lists(child, grammar) for child in lists[1:])
-    found = tuple(grammar.rules[c.rule].nonterminal for c in children)
-    if found != grammar.rules[rule].children:
-        raise GrammarError(f"rule {rule} needs {grammar.rules[rule].children}, got {found}")
-    return Expression(rule, children)
 
 
 def derive(formula, grammar, nonterminal):

@@ -144,6 +144,11 @@ def walk(formula):
             stack.extend(reversed(node.args))
 
 
+def input_types_of(formula):
+    """Types of all inputs that occur, by name."""
+    return {node.name: node.type for node in walk(formula) if isinstance(node, Input)}
+
+
 def substitute(formula, replaced):
     """The formula with some of its nodes replaced.
 

@@ -146,6 +146,11 @@ class Grammar:
                 table[rule.nonterminal].append(rule)
         return MappingProxyType({k: tuple(v) for k, v in table.items()})
 
+    def is_constant(self, nonterminal):
+        """Whether a nonterminal stands for a free constant."""
+        rules = self.rules_of[nonterminal]
+        return bool(rules) and all(isinstance(rule.body, Constant) for rule in rules)
+
     @functools.cached_property
     def min_levels(self):
         """Nonterminal -> least number of levels of a finished derivation; inf if there is none.
@@ -362,16 +367,11 @@ class _Reader:
         _check_beyond(self.source)
         rules = self.rules()
         grammar = Grammar(
-            name=head.get("name", "unnamed"),
-            start=MappingProxyType(self.start(head)),
-            types=MappingProxyType(self.types),
-            inputs=MappingProxyType(self.inputs),
-            constants=self.constants,
-            rules=rules,
-            operators=MappingProxyType(self.operators),
-            fingerprint=_fingerprint(self.source),
-            source=MappingProxyType(self.source),
-        )
+            name=head.get("name", "unnamed"), start=MappingProxyType(self.start(head)),
+            types=MappingProxyType(self.types), inputs=MappingProxyType(self.inputs),
+            constants=self.constants, rules=rules, operators=MappingProxyType(self.operators),
+            fingerprint=_fingerprint(self.source), source=MappingProxyType(self.source),
+        )  # fmt: skip
         self.check(grammar)
         try:
             _ = grammar.beyond
@@ -421,17 +421,10 @@ class _Reader:
                 raise GrammarError(f"rule for {nonterminal!r}, which has no type")
             for text in _alternatives(bodies):
                 body, children = self.body(nonterminal, text)
-                inputs = frozenset(_leaves(body, Input))
+                inputs = frozenset(part.name for part in _parts(body) if isinstance(part, Input))
+                operators = frozenset(part[0] for part in _parts(body) if isinstance(part, tuple))
                 rules.append(
-                    Rule(
-                        len(rules),
-                        nonterminal,
-                        text,
-                        body,
-                        children,
-                        inputs,
-                        frozenset(_operators_of(body)),
-                    )
+                    Rule(len(rules), nonterminal, text, body, children, inputs, operators)
                 )
         return tuple(rules)
 
@@ -539,19 +532,21 @@ def _alternatives(bodies):
     return [" ".join(part.split()) for part in " ".join(lines).split("|") if part.strip()]
 
 
-def _leaves(body, kind):
-    if isinstance(body, kind):
-        yield body.name
-    elif isinstance(body, tuple):
-        for part in body[1:]:
-            yield from _leaves(part, kind)
+def _parts(body):
+    """Every part of a rule body, the whole first."""
+    yield body
+    for part in body[1:] if isinstance(body, tuple) else ():
+        yield from _parts(part)
 
 
-def _operators_of(body):
-    if isinstance(body, tuple):
-        yield body[0]
-        for part in body[1:]:
-            yield from _operators_of(part)
+def joined_slots(body, operator):
+    """The slots of a body that is nothing but slots joined by one operator; None for others."""
+    if isinstance(body, Slot):
+        return [body]
+    if not isinstance(body, tuple) or body[0] != operator:
+        return None
+    found = [joined_slots(part, operator) for part in body[1:]]
+    return None if None in found else [slot for part in found for slot in part]
 
 
 def _infer(body, types, where):

@@ -8,32 +8,19 @@ from bsp_gp.language.operators import Type
 from bsp_gp.units import DIMENSIONLESS, Unit
 
 ALIASES = {
-    "m": "mass",
-    "mu": "friction",
-    "q": "charge",
-    "R": "radius",
-    "k": "stiffness",
+    "m": "mass", "mu": "friction", "q": "charge", "R": "radius", "k": "stiffness",
     "l": "rest_length",
-}
+}  # fmt: skip
 """Short name in laws -> column of entities.csv."""
 SHORT = {column: alias for alias, column in ALIASES.items()}
 _METRE, _SPEED = Unit.of(m=1), Unit.of(m=1, s=-1)
 STATE_INPUTS = {
-    "p_i": Type("point", _METRE),
-    "p_j": Type("point", _METRE),
-    "p_c": Type("point", _METRE),
-    "origin": Type("point", _METRE),
-    "v_i": Type("vector", _SPEED),
-    "v_j": Type("vector", _SPEED),
-    "s_i": Type("shape"),
-    "s_j": Type("shape"),
-    "e_x": Type("vector"),
-    "e_y": Type("vector"),
-    "e_z": Type("vector"),
-    "up": Type("vector"),
-    "down": Type("vector"),
+    "p_i": Type("point", _METRE), "p_j": Type("point", _METRE), "p_c": Type("point", _METRE),
+    "origin": Type("point", _METRE), "v_i": Type("vector", _SPEED), "v_j": Type("vector", _SPEED),
+    "s_i": Type("shape"), "s_j": Type("shape"), "e_x": Type("vector"), "e_y": Type("vector"),
+    "e_z": Type("vector"), "up": Type("vector"), "down": Type("vector"),
     "t": Type("scalar", Unit.of(s=1)),
-}
+}  # fmt: skip
 """Inputs that are no properties; `up` and `down` need a declared axis."""
 DIRECTIONS = ("e_x", "e_y", "e_z", "up", "down")
 

@@ -82,8 +82,7 @@ class Pcfg:
         GrammarError
             If the bound is below the least number of levels of `nonterminal`.
         """
-        self._check_bound(nonterminal, max_levels)
-        return self.sampler(rng).draw(nonterminal, max_levels)
+        return self.sample_many(rng, nonterminal, max_levels, 1)[0]
 
     def sampler(self, rng):
         """A source of derivations, for many draws: ``sampler.draw(nonterminal, max_levels)``.

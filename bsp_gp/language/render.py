@@ -6,12 +6,8 @@ from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS
 
 _INFIX = {
-    "add": ("+", 1),
-    "sub": ("-", 1),
-    "mul": ("*", 2),
-    "div": ("/", 2),
-    "div_guarded": ("/", 2),
-}
+    "add": ("+", 1), "sub": ("-", 1), "mul": ("*", 2), "div": ("/", 2), "div_guarded": ("/", 2),
+}  # fmt: skip
 _ATOM, _POWER, _NEGATIVE = 9, 4, 3
 _OPPOSITE = {"+": "-", "-": "+"}
 _GREEK = {"mu": r"\mu", "friction": r"\mu"}

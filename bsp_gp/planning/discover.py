@@ -58,6 +58,8 @@ PATIENT = 8
 """Times the usual effort of a fit that rivals may take on all recordings, while none fits."""
 MOST_ALONG = 2
 """Terms of a law that stands along one direction, such as that to another body."""
+MOST_CAUSES = 4
+"""Causes that one closing of the loop may add."""
 FITS = 1.5
 """Reduced chi-squared up to which a law of known noise fits."""
 LEAST_LIKELY = 1e-4
@@ -117,8 +119,8 @@ class Discovery:
 
 
 def discover(
-    run, means, rounds=16, *, rng=None, declared=(), out=None, grammar="physics", criteria=None,
-    most_rounds=4, time_limit=None, progress=None,
+    run, means, rounds=16, *, rng=None, declared=(), out=None, grammar="physics", time_limit=None,
+    progress=None,
 ):  # fmt: skip
     """Find a law by experiments of one's own.
 
@@ -136,9 +138,6 @@ def discover(
     out : path-like, optional
         Folder in which every round is kept; one that is there is gone on from.
     grammar : str, path or Grammar
-    criteria : Criteria, optional
-    most_rounds : int
-        Causes that one closing of the loop may add.
     time_limit : float, optional
         Seconds of every closing of the loop.
     progress : callable, optional
@@ -151,7 +150,7 @@ def discover(
     if rounds < 1:
         raise SettingsError(f"rounds must be at least 1, got {rounds!r}")
     settings = {
-        "grammar": grammar, "criteria": criteria or Criteria(), "max_rounds": most_rounds,
+        "grammar": grammar, "criteria": Criteria(), "max_rounds": MOST_CAUSES,
         "time_limit": time_limit, "n_bootstrap": 0,
     }  # fmt: skip
     state = _State(means, (declared,) if isinstance(declared, str) else tuple(declared), settings,

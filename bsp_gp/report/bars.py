@@ -149,13 +149,9 @@ def _draw_rounds(figure, panels):
             else:
                 panel.barh(where, value, height=0.72, color=color)
             panel.annotate(
-                with_unit(format_number(value), unit),
-                (value, where),
-                (5, 0),
-                textcoords="offset points",
-                va="center",
-                color=INK,
-            )
+                with_unit(format_number(value), unit), (value, where), (5, 0),
+                textcoords="offset points", va="center", color=INK,
+            )  # fmt: skip
         many = len({row[0] for row in rows}) > 1
         names = [f"round {row[0]}, {row[1]}" if many else row[1] for row in rows]
         tidy(panel)

@@ -5,9 +5,9 @@ The package itself does, where it hands out `close_loop` and `load_report`.
 """
 
 from bsp_gp.loop.outcome import LoopReport
-from bsp_gp.report.numbers import format_constant, format_number, is_number
+from bsp_gp.report.numbers import format_number, is_number
 from bsp_gp.report.page import page_of
-from bsp_gp.report.sentences import adopted_rounds, constant_groups, group_range
+from bsp_gp.report.sentences import adopted_rounds, constant_lines
 
 MAX_CONSTANTS = 3
 MAX_RIVALS = 2
@@ -44,12 +44,7 @@ def _named(effect):
 
 
 def _constants(page):
-    shared, own = constant_groups(page.constants)
-    lines = [f"{c.name} = {format_constant(c)}" for c in shared]
-    lines += [group_range(*group) for group in own]
-    if len(lines) > MAX_CONSTANTS:
-        n_left = len(lines) - MAX_CONSTANTS + 1
-        lines = [*lines[: MAX_CONSTANTS - 1], f"and {n_left} more constants"]
+    lines = constant_lines(page.constants, MAX_CONSTANTS, "and {} more constants")
     return [f"  {_short(line)}" for line in lines]
 
 

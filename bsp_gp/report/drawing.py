@@ -186,12 +186,6 @@ def panels_of(figure, n_panels):
 def legend_above(figure, handles, labels):
     """One legend for all panels, above them."""
     figure.legend(
-        handles,
-        labels,
-        loc="outside upper center",
-        ncols=len(labels),
-        frameon=False,
-        handlelength=2.2,
-        columnspacing=1.6,
-        handler_map={tuple: HandlerTuple(None)},
-    )
+        handles, labels, loc="outside upper center", ncols=len(labels), frameon=False,
+        handlelength=2.2, columnspacing=1.6, handler_map={tuple: HandlerTuple(None)},
+    )  # fmt: skip

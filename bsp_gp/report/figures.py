@@ -11,6 +11,7 @@ from bsp_gp.report.bars import constants_figure, rounds_figure
 from bsp_gp.report.drawing import (
     AFTER,
     BEFORE,
+    WIDTH,
     axis_label,
     legend_above,
     log_ticks,
@@ -80,13 +81,9 @@ def build_figures(report):
     """
     report = page_of(report)
     makers = {
-        "headline": _headline,
-        "tracks": _tracks,
-        "track_errors": _track_errors,
-        "constants": constants_figure,
-        "rounds": rounds_figure,
-        "residuals": _residuals,
-    }
+        "headline": _headline, "tracks": _tracks, "track_errors": _track_errors,
+        "constants": constants_figure, "rounds": rounds_figure, "residuals": _residuals,
+    }  # fmt: skip
     made = {name: make(report) for name, make in makers.items()}
     made |= {f"trace_{r.number}": trace_figure(r) for r in report.rounds}
     made |= {f"hidden_{r.number}": _hidden(r) for r in report.rounds}
@@ -121,15 +118,19 @@ def _tracks_caption(report, picked):
     return "Held-out tracks"
 
 
+def _drawn(draw, report, overlays, height, width=WIDTH):
+    """Tracks, or their errors, in the units of a report."""
+    length, _, time = units_of(report)
+    has_adopted = bool(adopted_rounds(report))
+    return new_figure(lambda f: draw(f, overlays, length, time, has_adopted), height, width)
+
+
 def _headline(report):
     overlay = pick_headline(report.overlays)
     if overlay is None:
         return None
-    length, _, time = units_of(report)
-    has_adopted = bool(adopted_rounds(report))
-    as_errors = wants_errors([overlay])
-    draw = draw_errors if as_errors else draw_tracks
-    figure = new_figure(lambda f: draw(f, [overlay], length, time, has_adopted), 2.7, _NARROW)
+    draw = draw_errors if wants_errors([overlay]) else draw_tracks
+    figure = _drawn(draw, report, [overlay], 2.7, _NARROW)
     return "Held-out track, largest error before.", figure
 
 
@@ -137,36 +138,24 @@ def _tracks(report):
     picked = pick_overlays(report.overlays)
     if not picked:
         return None
-    length, _, time = units_of(report)
-    has_adopted = bool(adopted_rounds(report))
-    n_rows = math.ceil(len(picked) / 3)
-    figure = new_figure(
-        lambda f: draw_tracks(f, picked, length, time, has_adopted), 0.45 + 2.25 * n_rows
-    )
     models = "the declared model (dashed)"
-    models += " and the adopted one (solid)" if has_adopted else ""
+    models += " and the adopted one (solid)" if adopted_rounds(report) else ""
     caption = (
         f"{_tracks_caption(report, picked)}: observed positions (dots) and rollouts of {models}, "
         "started from the first rows only (filled dots)."
     )
-    return caption, figure
+    return caption, _drawn(draw_tracks, report, picked, 0.45 + 2.25 * math.ceil(len(picked) / 3))
 
 
 def _track_errors(report):
     picked = pick_overlays(report.overlays)
-    has_adopted = bool(adopted_rounds(report))
     if not picked or not wants_errors(picked):
         return None
-    length, _, time = units_of(report)
-    n_rows = math.ceil(len(picked) / 3)
-    figure = new_figure(
-        lambda f: draw_errors(f, picked, length, time, has_adopted), 0.45 + 2.0 * n_rows
-    )
     caption = (
         f"{_tracks_caption(report, picked)}: distance between the observed position and each "
         "rollout against time. The shaded rows fixed the initial state and do not count."
     )
-    return caption, figure
+    return caption, _drawn(draw_errors, report, picked, 0.45 + 2.0 * math.ceil(len(picked) / 3))
 
 
 def _residuals(report):
@@ -228,16 +217,9 @@ def _draw_residuals(figure, against, series, unit):
             y = y * factor
             y = np.where(y > 0, y, np.nan) if is_log else y
             panel.plot(
-                x[thinned],
-                y[thinned],
-                ".",
-                ms=1.6,
-                mew=0,
-                color=color,
-                alpha=0.25,
-                rasterized=True,
-                zorder=1,
-            )
+                x[thinned], y[thinned], ".", ms=1.6, mew=0, color=color, alpha=0.25,
+                rasterized=True, zorder=1,
+            )  # fmt: skip
             center, low, middle, high = _running_quantiles(x[order], y[order])
             panel.fill_between(center, low, high, color=color, alpha=0.16, lw=0, zorder=2)
             (line,) = panel.plot(center, middle, color=color, lw=1.6, zorder=3)

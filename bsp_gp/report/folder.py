@@ -21,17 +21,9 @@ from bsp_gp.report.typeset import law_document
 KIND = "report"
 
 RESIDUALS = (
-    "scene",
-    "entity",
-    "split",
-    "t",
-    "speed",
-    "distance",
-    "before",
-    "after",
-    "before_along",
+    "scene", "entity", "split", "t", "speed", "distance", "before", "after", "before_along",
     "after_along",
-)
+)  # fmt: skip
 
 
 def write_report(

@@ -22,7 +22,6 @@ from bsp_gp.report.numbers import (
     NOT_KNOWN,
     format_level,
     format_number,
-    format_p,
     format_ratio,
     format_value,
     is_number,
@@ -80,56 +79,32 @@ def render_html(report, run_info=None, figures=None):
     sentence, detail = plain_sentence(report)
     shared, own = constant_groups(report.constants)
     environment = Environment(
-        loader=PackageLoader("bsp_gp.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+        loader=PackageLoader("bsp_gp.report", "templates"), autoescape=True,
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
     environment.globals.update(
-        typeset=to_svg,
-        number=format_number,
-        p_value=format_p,
-        value=format_value,
-        kind=lambda k: KINDS.get(k, k),
-    )
+        typeset=to_svg, number=format_number, value=format_value, kind=lambda k: KINDS.get(k, k),
+    )  # fmt: skip
     return environment.get_template("report.html").render(
-        name=report.dataset.get("name") or "data",
-        facts=_facts(report),
-        verdict=report.verdict,
-        tone=TONES.get(report.verdict, "open"),
-        sentence=sentence,
-        detail=detail,
+        name=report.dataset.get("name") or "data", facts=_facts(report), verdict=report.verdict,
+        tone=TONES.get(report.verdict, "open"), sentence=sentence, detail=detail,
         head=headline(report),
         caution=" ".join(filter(None, (ratio_caution(report), worse_bodies(report)))),
         caveats=caveats(report),
         caveat_words=[text.partition(" (")[0].partition(":")[0] for text in caveats(report)],
-        notes=report.notes,
-        notes_title=_notes_title(report),
-        legend=legend(report),
-        told_constants=told_constants(report),
-        otherwise=else_sentence(report),
-        bound=bound_sentence(report),
-        drawing=_drawing(figures.get("headline")),
-        contents=_contents(report, figures),
-        explored=explored,
-        script=script(),
-        script_digest=script_digest(),
-        law_text=report.law_text,
-        law_latex=report.law_latex,
-        law_title=_law_title(report),
-        corrections=report.corrections,
-        declared=report.declared,
+        notes=report.notes, notes_title=_notes_title(report), legend=legend(report),
+        told_constants=told_constants(report), otherwise=else_sentence(report),
+        bound=bound_sentence(report), drawing=_drawing(figures.get("headline")),
+        contents=_contents(report, figures), explored=explored, script=script(),
+        script_digest=script_digest(), law_text=report.law_text, law_latex=report.law_latex,
+        law_title=_law_title(report), corrections=report.corrections, declared=report.declared,
         constants=[_constant(c) for c in shared],
         own=[(group_range(*g), g[0], pretty_unit(g[1]), [_constant(c) for c in g[2]]) for g in own],
-        figures={name: _figure(f) for name, f in figures.items()},
-        total=_total_table(report),
-        intervals=_intervals_note(report),
-        rounds=[_round(r, report) for r in report.rounds],
-        extras=[_extra(e) for e in report.extras],
-        stop_reason=report.stop_reason,
+        figures={name: _figure(f) for name, f in figures.items()}, total=_total_table(report),
+        intervals=_intervals_note(report), rounds=[_round(r, report) for r in report.rounds],
+        extras=[_extra(e) for e in report.extras], stop_reason=report.stop_reason,
         reproduce=_reproduce(report, run_info or {}),
-    )
+    )  # fmt: skip
 
 
 def _drawing(figure):
@@ -282,7 +257,6 @@ def _round(r, report):
         "held_out": _by_scene(r),
         "overturned_by": overturned_by(r),
         "certificate": r.certificate,
-        "seconds": format_number(r.seconds, 2),
     }
 
 

@@ -9,6 +9,7 @@ from bsp_gp.report.codes import FINDINGS, VARIABLES
 from bsp_gp.report.naming import is_beyond, is_untold, size_name
 from bsp_gp.report.numbers import (
     NOT_KNOWN,
+    format_constant,
     format_level,
     format_number,
     format_p,
@@ -474,6 +475,19 @@ def constant_groups(constants):
         return (not is_number(c.value), c.value if is_number(c.value) else math.inf, c.entity)
 
     return shared, [(name, unit, sorted(group, key=order)) for (name, unit), group in own.items()]
+
+
+def constant_lines(constants, most, more):
+    """A line for each constant, and one of each kind that entities have of their own.
+
+    Of more than `most` the last line is ``more`` of how many are left.
+    """
+    shared, own = constant_groups(constants)
+    lines = [f"{c.name} = {format_constant(c)}" for c in shared]
+    lines += [group_range(*group) for group in own]
+    if len(lines) > most:
+        lines = [*lines[: most - 1], more.format(len(lines) - most + 1)]
+    return lines
 
 
 MOST_CLEAR = 6

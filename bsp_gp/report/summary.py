@@ -7,9 +7,7 @@ from bsp_gp.loop.outcome import LoopReport
 from bsp_gp.report.first import plain_sentence
 from bsp_gp.report.numbers import (
     format_constant,
-    format_number,
     format_p,
-    format_value,
     is_number,
     length_text,
 )
@@ -18,8 +16,8 @@ from bsp_gp.report.sentences import (
     adopted_rounds,
     caveats,
     constant_groups,
+    constant_lines,
     error_name,
-    group_range,
     headline,
     hidden_sentence,
     noise_sentence,
@@ -30,8 +28,6 @@ from bsp_gp.report.sentences import (
 )
 from bsp_gp.report.traces import trace_sentence
 from bsp_gp.units import is_speed
-
-__all__ = ["format_number", "format_value", "summary_text", "wrapped"]
 
 WIDTH = 100
 _MAX_CONSTANTS = 5
@@ -69,7 +65,11 @@ def summary_text(report: LoopReport, width: int = WIDTH) -> str:
     law = report.law_text if is_of_sight else "F = " + report.law_text
     paragraphs += [("Law: " + law, "     "), *_constants(report)]
     paragraphs += [*_rounds(report), *_traced(report)]
-    paragraphs += [*_powers(report), *_ties(report), *_dependence(report), *_noise(report)]
+    kept = adopted_rounds(report)[-2:]
+    paragraphs += [*((powers_sentence(r), "  ") for r in kept), *_ties(report)]
+    paragraphs += [(r.effect.dependence, "  ") for r in kept]
+    # What is odd about the noise of the last model, and what may be hidden beside the law.
+    paragraphs += [(noise_sentence(report.rounds[-1]), "  "), (hidden_sentence(report), "  ")]
     notes = [note for note in notes if not note.startswith(CHECK)]
     if notes:
         more = f" (more notes in the report: {len(notes) - 1})" if len(notes) > 1 else ""
@@ -78,25 +78,21 @@ def summary_text(report: LoopReport, width: int = WIDTH) -> str:
     return "\n".join(line for text, indent in paragraphs for line in wrapped(text, width, indent))
 
 
-def wrapped(text, width=WIDTH, indent=""):
+def wrapped(text, width, indent):
     """Lines of a sentence, all of it; what follows the first is indented."""
     text = "".join(c if c.isprintable() else " " for c in str(text))
     return textwrap.wrap(text, max(width, 20), subsequent_indent=indent, drop_whitespace=True)
 
 
 def _constants(report):
-    shared, own = constant_groups(report.constants)
-    rows = [f"{c.name} = {format_constant(c)}" for c in shared]
-    each = [c for _, _, group in own for c in group]
-    if len(rows) + len(each) <= _MAX_CONSTANTS:
-        rows += [f"{c.name} of {c.entity} = {format_constant(c)}" for c in each]
-    else:
-        rows += [group_range(*group) for group in own]
-    if not rows:
+    if not report.constants:
         return []
-    if len(rows) > _MAX_CONSTANTS:
-        n_left = len(rows) - _MAX_CONSTANTS + 1
-        rows = [*rows[: _MAX_CONSTANTS - 1], f"and {n_left} more in the report"]
+    rows = constant_lines(report.constants, _MAX_CONSTANTS, "and {} more in the report")
+    if len(report.constants) <= _MAX_CONSTANTS:
+        shared, own = constant_groups(report.constants)
+        each = [*shared, *(c for _, _, group in own for c in group)]
+        rows = [f"{c.name}{f' of {c.entity}' * bool(c.entity)} = {format_constant(c)}"
+                for c in each]  # fmt: skip
     return [("Constants (90 % intervals):", ""), *((f"  {row}", "    ") for row in rows)]
 
 
@@ -125,26 +121,8 @@ def _traced(report):
     return []
 
 
-def _noise(report):
-    """What is odd about the noise of the last model, and what may be hidden beside the law."""
-    last = report.rounds[-1]
-    return [(noise_sentence(last), "  "), (hidden_sentence(report), "  ")]
-
-
-def _powers(report):
-    """Of the last two laws that were adopted."""
-    kept = [r for r in report.rounds if r.adopted and not r.removed]
-    return [(powers_sentence(r), "  ") for r in kept[-2:]]
-
-
-def _dependence(report):
-    """Whether the data tell how what was adopted depends on masses and the like."""
-    return [(r.effect.dependence, "  ") for r in adopted_rounds(report)[-2:]]
-
-
 def _ties(report):
-    rounds = [r for r in report.rounds if r.adopted and not r.removed] or report.rounds
-    for r in reversed(rounds):
+    for r in reversed(adopted_rounds(report) or report.rounds):
         if r.effect is not None and (r.effect.equivalents or r.effect.rewritten):
             n, rest = len(r.effect.equivalents), r.effect.rewritten
             text = (

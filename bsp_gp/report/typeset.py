@@ -143,13 +143,9 @@ def law_document(report):
         body += "".join(rf" \\ & {term}" for term in rest)
         equation = [r"\begin{align*}", body, r"\end{align*}"]
     lines = [
-        r"\documentclass{article}",
-        r"\usepackage[T1]{fontenc}",
-        r"\usepackage[utf8]{inputenc}",
-        r"\usepackage{amsmath,longtable}",
-        r"\begin{document}",
-        *equation,
-    ]
+        r"\documentclass{article}", r"\usepackage[T1]{fontenc}", r"\usepackage[utf8]{inputenc}",
+        r"\usepackage{amsmath,longtable}", r"\begin{document}", *equation,
+    ]  # fmt: skip
     if report.constants:
         lines += [
             r"\begin{longtable}{llrrrl}",

@@ -5,6 +5,7 @@ likeliest, is kept), so that a bank holds a few hundred distinct values where th
 millions of derivations.
 """
 
+import functools
 import itertools
 from dataclasses import dataclass, field, replace
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from bsp_gp.errors import UnitError
 from bsp_gp.language.expression import Expression
-from bsp_gp.language.formula import evaluate
+from bsp_gp.language.formula import evaluate, input_types_of
 from bsp_gp.language.grammar import fill
 from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.bodies import law_inputs
@@ -90,6 +91,16 @@ class Rows:
         self.n_rows = int(self.keep.sum())
         self.n_dims = regression.batches[0].bodies.n_dims
         self._inputs = {}
+
+    @functools.cached_property
+    def receiver(self):
+        """Which (instant, scene, receiver) each valid row belongs to."""
+        parts, offset = [], 0
+        for shape in self.shapes:
+            n = int(np.prod(shape[:3]))
+            parts.append(np.repeat(np.arange(offset, offset + n), shape[3]))
+            offset += n
+        return np.concatenate(parts)[self.keep]
 
     def input(self, name, is_vector):
         """Values of an input on the valid rows, (P,) or (P, d)."""
@@ -233,7 +244,7 @@ class Banks:
         stored = {child.formula: child.value for child in children}
         if formula in stored:
             return stored[formula]
-        inputs = self.rows.inputs_for(formula.inputs, _types_in(formula))
+        inputs = self.rows.inputs_for(formula.inputs, input_types_of(formula))
         value = evaluate(formula, inputs, cache=_Overlay(stored))
         shape = (self.rows.n_rows, self.rows.n_dims)
         value = np.broadcast_to(
@@ -258,12 +269,6 @@ class _Overlay(dict):
 
     def __setitem__(self, key, value):
         pass
-
-
-def _types_in(formula):
-    from bsp_gp.language.formula import Input, walk
-
-    return {node.name: node.type for node in walk(formula) if isinstance(node, Input)}
 
 
 def fingerprints(values, weights, merge_scale):

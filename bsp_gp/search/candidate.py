@@ -166,10 +166,13 @@ def _absorb(kept, other):
     return replace(lead, ties=tuple(names))
 
 
-def front_of(candidates):
-    """Best per complexity: each member better than every simpler law."""
+def front_of(laws, score=lambda law: law):
+    """Best per complexity, simplest first: each better than every simpler law.
+
+    ``score(law)`` has its complexity and its loss.
+    """
     front = []
-    for candidate in sorted(candidates, key=lambda c: (c.complexity, c.loss)):
-        if not front or candidate.loss < front[-1].loss:
-            front.append(candidate)
+    for law in sorted(laws, key=lambda one: (score(one).complexity, score(one).loss)):
+        if not front or score(law).loss < score(front[-1]).loss:
+            front.append(law)
     return tuple(front)

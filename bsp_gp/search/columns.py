@@ -7,7 +7,7 @@ without the columns ever being spread out. Sums of terms need the columns themse
 
 import numpy as np
 
-from bsp_gp.search.scoring import COLLINEAR, flat_scale, receiver_index
+from bsp_gp.search.scoring import COLLINEAR, flat_scale
 
 BATCH_BYTES = 1 << 25
 """Bound on one work array."""
@@ -32,7 +32,7 @@ class Columns:
         self.y = y
         self.q = q
         self.is_white = all(batch.whitener is None for batch in self.regression.batches)
-        self.receiver = receiver_index(rows)
+        self.receiver = rows.receiver
         self._scale = flat_scale(self.regression, rows) if self.is_white else None
         if self.is_white:
             shape = (len(y) // rows.n_dims, rows.n_dims)
@@ -63,7 +63,7 @@ class Columns:
         if not self.is_white:
             columns, sizes = self._projected(coefficients, vector)
             return columns @ self.y, sizes
-        active, receivers, firsts, weighted = self._active(vector)
+        active, _, firsts, weighted = self._active(vector)
         if not len(active):
             return np.zeros(len(coefficients)), np.zeros(len(coefficients))
         if len(active) < coefficients.shape[1]:

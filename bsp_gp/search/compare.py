@@ -96,16 +96,9 @@ def run_one(objective, name, strategy, seed, budget, *, rng, is_done=None):
     )
     watch(None, objective)
     return Outcome(
-        name,
-        seed,
-        result.best,
-        watch.cost,
-        objective.n_scored,
-        objective.n_trees,
-        time.process_time() - started,
-        watch.n_scored,
-        watch.seconds,
-    )
+        name, seed, result.best, watch.cost, objective.n_scored, objective.n_trees,
+        time.process_time() - started, watch.n_scored, watch.seconds,
+    )  # fmt: skip
 
 
 class _Watch:

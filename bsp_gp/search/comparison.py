@@ -20,20 +20,9 @@ from bsp_gp.search.run import Budget
 
 
 def compare_searches(
-    dataset,
-    laws,
-    grammar,
-    *,
-    rng,
-    kind=None,
-    seeds=5,
-    n_scored=20_000,
-    exclude=(),
-    searches=None,
-    executor=None,
-    missing_inputs=(),
-    method=None,
-):
+    dataset, laws, grammar, *, rng, kind=None, seeds=5, n_scored=20_000, exclude=(), searches=None,
+    executor=None, missing_inputs=(), method=None,
+):  # fmt: skip
     """Search what a declared model leaves with every strategy, from several seeds.
 
     Parameters
@@ -82,22 +71,14 @@ def compare_searches(
     regression, held_out = regressions(dataset, law, rng.spawn(1)[0], method)
     fit = fit_constants(regression, law)
     objective = Objective(
-        regression,
-        grammar.without_inputs(exclude),
-        kind,
-        target=fit.residual,
-        nuisance=fit.jacobian,
-        criterion="mdl",
-    )
+        regression, grammar.without_inputs(exclude), kind, target=fit.residual,
+        nuisance=fit.jacobian, criterion="mdl",
+    )  # fmt: skip
     outcomes = compare(
-        objective,
-        Budget(n_scored=n_scored),
-        seeds=seeds,
-        rng=rng,
-        strategies={name: STRATEGIES[name] for name in names},
-        executor=executor,
+        objective, Budget(n_scored=n_scored), seeds=seeds, rng=rng,
+        strategies={name: STRATEGIES[name] for name in names}, executor=executor,
         missing_inputs=missing_inputs,
-    )
+    )  # fmt: skip
     if outcomes[0].best is None:
         raise SettingsError(
             f"there is nothing to compare: no {kind} law of the grammar {grammar.name} has a "

@@ -42,7 +42,6 @@ class ConstantFit:
     residual: np.ndarray
     jacobian: np.ndarray
     loss: float
-    is_linear: bool
 
 
 def linear_columns(regression, law):
@@ -112,7 +111,7 @@ def fit_constants(regression, law, *, starts=1):
             raise EvaluationError(
                 "the law is next to nothing on the data: no number is its constant"
             )
-        return _fit(law, parameters, values, covariance, residual, matrix, True)
+        return _fit(law, parameters, values, covariance, residual, matrix)
     return _fit_nonlinear(regression, law, starts)
 
 
@@ -132,17 +131,11 @@ def _least_squares(matrix, y):
         return values * unscale, covariance * np.outer(unscale, unscale), residual
 
 
-def _fit(law, parameters, values, covariance, residual, jacobian, is_linear):
+def _fit(law, parameters, values, covariance, residual, jacobian):
     return ConstantFit(
-        law.with_values(parameters, values),
-        tuple(parameters),
-        np.asarray(values),
-        covariance,
-        residual,
-        jacobian,
-        0.5 * float(residual @ residual),
-        is_linear,
-    )
+        law.with_values(parameters, values), tuple(parameters), np.asarray(values), covariance,
+        residual, jacobian, 0.5 * float(residual @ residual),
+    )  # fmt: skip
 
 
 def _fit_nonlinear(regression, law, starts):
@@ -169,7 +162,7 @@ def _fit_nonlinear(regression, law, starts):
     jacobian = _jacobian(regression, law, names)
     covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     return _fit(
-        law, tuple((n, "") for n in names), x, covariance, regression.residual(law), jacobian, False
+        law, tuple((n, "") for n in names), x, covariance, regression.residual(law), jacobian
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from bsp_gp.search.columns import BATCH_BYTES, Columns
 from bsp_gp.search.moments import MomentScorer
 from bsp_gp.search.products import Block, Side
-from bsp_gp.search.scoring import COLLINEAR, GroupScorer, values_of
+from bsp_gp.search.scoring import COLLINEAR, GroupScorer
 
 
 class CorrelatedScorer(GroupScorer):
@@ -37,7 +37,7 @@ class CorrelatedScorer(GroupScorer):
 
     def _moving(self, rows, columns, numerators, denominator):
         """Products of two factors that both vary along time, as whitened columns."""
-        left, right = values_of(self.block.left), values_of(self.block.right)
+        left, right = self.block.left.values, self.block.right.values
         made = Columns(self.search.rows, self.ys[:, 0], self.q)
         step = max(1, BATCH_BYTES // (8 * self.vector.size))
         for a in rows:

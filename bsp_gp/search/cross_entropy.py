@@ -1,11 +1,11 @@
 """Cross-entropy search over a probabilistic grammar (paper, section 3.3.1 and algorithm 2).
 
 Trees are drawn from the PCFG under the bound on levels; its probabilities are refitted to the
-rules of the elite. The paper's presets are kept by name. Ours differs in four points, each for
-a reason: the elite is small and taken among *distinct* laws (a good law drawn a hundred times
-would otherwise be the whole elite), a part of the uniform grammar is mixed in (no rule dies out),
-the search starts anew when nothing better has come for a while (known laws cost nothing), and
-populations are products of pools of subtrees, which are scored at three times the rate.
+rules of the elite. The defaults differ from the paper in four points, each for a reason: the elite
+is small and taken among *distinct* laws (a good law drawn a hundred times would otherwise be the
+whole elite), a part of the uniform grammar is mixed in (no rule dies out), the search starts anew
+when nothing better has come for a while (known laws cost nothing), and populations are products of
+pools of subtrees, which are scored at three times the rate.
 """
 
 from dataclasses import dataclass
@@ -107,25 +107,3 @@ class RandomSearch:
         draw = pcfg.sample_many
         objective.score(draw(rng, objective.start, self.max_levels, self.population))
         return state
-
-
-def _paper(population, elite, smoothing):
-    return CrossEntropy(
-        population,
-        10,
-        elite,
-        smoothing,
-        distinct=False,
-        uniform_share=0.0,
-        patience=None,
-        pool=None,
-    )
-
-
-PRESETS = {
-    "paper": _paper(1000, 800, 200.0),  # 4 iterations: NBODY and BOUNCE, M-step alone
-    "paper-weak": _paper(800, 600, 200.0),  # 3 iterations: MAT, and all EM runs on SYNTH
-    "paper-small": _paper(400, 300, 100.0),  # 2 iterations: FALL, SPRING, ULLMAN
-    "default": CrossEntropy(),
-}
-"""Settings by name; the paper's (PROTOCOL of its code) beside our own."""

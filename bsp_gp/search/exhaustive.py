@@ -44,20 +44,9 @@ are, the likeliest ones."""
 
 
 def search_exhaustive(
-    regression,
-    grammar,
-    *,
-    kind,
-    nuisance=None,
-    target=None,
-    max_levels=8,
-    top_k=40,
-    max_ties=MOST_TIES,
-    missing_inputs=(),
-    groups=None,
-    null_targets=None,
-    progress=None,
-):
+    regression, grammar, *, kind, nuisance=None, target=None, max_levels=8, top_k=40,
+    max_ties=MOST_TIES, missing_inputs=(), seen=None, null_targets=None, progress=None,
+):  # fmt: skip
     """Score every distinct law of a grammar on a regression.
 
     Parameters
@@ -79,8 +68,8 @@ def search_exhaustive(
         Laws that are named beside each candidate at most, being equal to it on these data.
     missing_inputs : tuple of str
         For the certificate.
-    groups : sequence of ndarray of bool, shape (n,), optional
-        Parts of the rows with a constant of their own; by default one constant for all.
+    seen : ndarray of bool, shape (n,), optional
+        The rows that count; by default all.
     null_targets : ndarray, shape (n, B), optional
         Simulated targets; the greatest share explained by any law is returned for each.
     progress : callable, optional
@@ -106,7 +95,7 @@ def search_exhaustive(
     with one_thread():
         search = Exhaustive(regression, grammar, kind, max_levels, top_k)
     result = search.search(
-        nuisance=nuisance, target=target, groups=groups, null_targets=null_targets,
+        nuisance=nuisance, target=target, seen=seen, null_targets=null_targets,
         max_ties=max_ties, missing_inputs=missing_inputs, progress=progress,
     )  # fmt: skip
     return replace(result, seconds=time.perf_counter() - start)
@@ -166,53 +155,37 @@ class Exhaustive:
         self.subtrees = [BoundedCache(share) for _ in regression.batches]
 
     def search(
-        self, *, nuisance=None, target=None, groups=None, null_targets=None, max_ties=MOST_TIES,
+        self, *, nuisance=None, target=None, seen=None, null_targets=None, max_ties=MOST_TIES,
         missing_inputs=(), progress=None,
     ):  # fmt: skip
         """Search for one target; parameters and result as in `search_exhaustive`."""
         started = time.perf_counter()
         with one_thread():
-            self._set_target(target, nuisance, groups, null_targets)
+            self._set_target(target, nuisance, seen, null_targets)
             require_room(self, self.n_columns())
             self._run(progress)
             candidates = self._candidates(max_ties)
         certificate = Certificate(
-            self.grammar.name,
-            self.grammar.fingerprint,
-            self.max_levels,
-            self.grammar.count(self.grammar.start[self.kind], self.max_levels),
-            self.n_scored,
-            self.n_failed + self.banks.n_failed,
-            tuple(missing_inputs),
-            tuple(self.parts),
-        )
+            self.grammar.name, self.grammar.fingerprint, self.max_levels,
+            self.grammar.count(self.grammar.start[self.kind], self.max_levels), self.n_scored,
+            self.n_failed + self.banks.n_failed, tuple(missing_inputs), tuple(self.parts),
+        )  # fmt: skip
         return SearchResult(
-            candidates[0] if candidates else None,
-            tuple(candidates),
-            front_of(candidates),
-            self.n_scored,
-            self.n_failed + self.banks.n_failed,
-            time.perf_counter() - started,
-            certificate,
-            tuple(self.null_best),
-        )
+            candidates[0] if candidates else None, tuple(candidates), front_of(candidates),
+            self.n_scored, self.n_failed + self.banks.n_failed, time.perf_counter() - started,
+            certificate, tuple(self.null_best),
+        )  # fmt: skip
 
-    def _set_target(self, target, nuisance, groups, null_targets):
+    def _set_target(self, target, nuisance, seen, null_targets):
         y = self.regression.target() if target is None else np.asarray(target, dtype=float)
-        # None: all rows.
-        self.groups = [None] if groups is None else list(groups)
-        self.y_groups, self.q_groups = [], []
         null = np.zeros((len(y), 0)) if null_targets is None else np.asarray(null_targets)
-        self.total, self.null_total = 0.0, np.zeros(null.shape[1])
-        for mask in self.groups:
-            own = 1.0 if mask is None else mask[:, None]
-            ys = np.column_stack([y, null]) * own
-            q = orthonormal(None if nuisance is None else nuisance * own, len(y))
-            ys = ys - q @ (q.T @ ys)
-            self.q_groups.append(q)
-            self.y_groups.append(ys)
-            self.total += float(ys[:, 0] @ ys[:, 0])
-            self.null_total += np.square(ys[:, 1:]).sum(axis=0)
+        own = 1.0 if seen is None else seen[:, None]
+        ys = np.column_stack([y, null]) * own
+        self.seen = seen
+        self.q = orthonormal(None if nuisance is None else nuisance * own, len(y))
+        self.ys = ys - self.q @ (self.q.T @ ys)
+        self.total = float(self.ys[:, 0] @ self.ys[:, 0])
+        self.null_total = np.square(self.ys[:, 1:]).sum(axis=0)
         self.null_gain = np.zeros(null.shape[1])
         self.null_best = []
         self.n_scored = self.n_failed = 0
@@ -220,9 +193,7 @@ class Exhaustive:
 
     def n_columns(self):
         """Targets and what is fitted beside, of which every law's products are kept at a time."""
-        n_null = len(self.null_gain)
-        splits = n_null if len(self.groups) > 1 else 0
-        return 1 + n_null + splits + max(q.shape[1] for q in self.q_groups)
+        return self.ys.shape[1] + self.q.shape[1]
 
     def _run(self, progress):
         for done, (plans, directed) in enumerate(self._directed_plans(), 1):
@@ -392,40 +363,27 @@ class Exhaustive:
 
     def _score(self, block, directed):
         self.n_scored += int(block.allowed.sum())
-        if block.is_static(self.rows):
+        if block.is_static:
             scorer = group_scorer(self.regression)
         else:
             scorer = CorrelatedScorer if self.is_correlated else RowScorer
-        gain = np.zeros(block.allowed.shape)
-        n_null, is_split = len(self.null_gain), len(self.groups) > 1
-        null_gain = np.zeros((n_null, *block.allowed.shape)) if is_split else None
         vector = directed.value / np.max(np.abs(directed.value))
-        for mask, ys, q in zip(self.groups, self.y_groups, self.q_groups, strict=True):
-            known = self.sizes.get((block, directed)) if mask is None else None
-            products = scorer(self, block, vector, q, ys, mask).products(known)
-            numerators, denominator, sizes = products
-            if mask is None and known is None:
-                self._keep((block, directed), sizes)
-            usable = (denominator > 0) & block.allowed
-            inverse = np.where(usable, 1.0 / np.where(usable, denominator, 1.0), 0.0)
-            gain += np.square(numerators[0]) * inverse
-            room = np.empty_like(inverse)
-            for k in range(n_null):
-                np.square(numerators[k + 1], out=room)
-                np.multiply(room, inverse, out=room)
-                if is_split:
-                    null_gain[k] += room
-                else:
-                    self.null_gain[k] = max(self.null_gain[k], room.max())
-        if is_split and n_null:
-            greatest = null_gain.reshape(n_null, -1).max(axis=1)
-            self.null_gain = np.maximum(self.null_gain, greatest)
-        total = (
-            directed.complexity
-            + block.cost
-            + block.left.complexity[:, None]
-            + block.right.complexity
-        )
+        known = self.sizes.get((block, directed)) if self.seen is None else None
+        numerators, denominator, sizes = scorer(
+            self, block, vector, self.q, self.ys, self.seen
+        ).products(known)
+        if self.seen is None and known is None:
+            self._keep((block, directed), sizes)
+        usable = (denominator > 0) & block.allowed
+        inverse = np.where(usable, 1.0 / np.where(usable, denominator, 1.0), 0.0)
+        gain = np.square(numerators[0]) * inverse
+        room = np.empty_like(inverse)
+        for k in range(len(self.null_gain)):
+            np.square(numerators[k + 1], out=room)
+            np.multiply(room, inverse, out=room)
+            self.null_gain[k] = max(self.null_gain[k], room.max())
+        total = directed.complexity + block.cost + block.left.complexity[:, None]
+        total = total + block.right.complexity
         self.kept.add(gain, total, (block, directed))
 
     def _keep(self, key, sizes):
@@ -451,15 +409,8 @@ class Exhaustive:
                         formula = block.formula_of(match, block.right.entries[b], directed)
                         _, rest = split_linear(formula)
                         column = self.regression.column(Term(rest, self.kind))[0][:, 0]
-                        laws.append(
-                            (
-                                rest,
-                                block.left.complexity[a]
-                                + block.right.complexity[b]
-                                + block.cost
-                                + directed.complexity,
-                            )
-                        )
+                        complexity = block.left.complexity[a] + block.right.complexity[b]
+                        laws.append((rest, complexity + block.cost + directed.complexity))
                         columns.append(column)
         if not columns:
             return [], np.zeros((len(self.regression.target()), 0))
@@ -497,25 +448,19 @@ class Exhaustive:
         name, rest = split_linear(formula)
         column = self.regression.column(Term(rest, self.kind), cache=self.subtrees)[0][:, 0]
         scale = np.max(np.abs(column)) or 1.0
-        column = column / scale
-        constants, fitted, total = [], np.zeros(len(column)), 0.0
-        for mask, ys, q in zip(self.groups, self.y_groups, self.q_groups, strict=True):
-            x = column if mask is None else column * mask
-            x = x - q @ (q.T @ x)
-            x = x - q @ (q.T @ x)
-            size = float(x @ x)
-            y = ys[:, 0]
-            total += float(y @ y)
-            c = float(x @ y) / size if size > 0 else 0.0
-            with np.errstate(over="ignore"):
-                constants.append(float(c / scale))
-            fitted += c * x
-        if not np.isfinite(constants).all():
+        x = column / scale if self.seen is None else column / scale * self.seen
+        x = x - self.q @ (self.q.T @ x)
+        x = x - self.q @ (self.q.T @ x)
+        size, y = float(x @ x), self.ys[:, 0]
+        c = float(x @ y) / size if size > 0 else 0.0
+        with np.errstate(over="ignore"):
+            constant = float(c / scale)
+        if not np.isfinite(constant):
             return None
-        y = sum(ys[:, 0] for ys in self.y_groups)
+        fitted = c * x
         loss = 0.5 * float(np.square(y - fitted).sum())
-        value = constants[0] if len(constants) == 1 else dict(enumerate(constants))
         candidate = Candidate(
-            formula, self.kind, {name: value}, loss, complexity, total - 2 * loss, total
-        )
+            formula, self.kind, {name: constant}, loss, complexity, self.total - 2 * loss,
+            self.total,
+        )  # fmt: skip
         return candidate, fitted

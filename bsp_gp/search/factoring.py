@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from bsp_gp.errors import GrammarError
-from bsp_gp.language.formula import Constant
-from bsp_gp.language.grammar import Slot
+from bsp_gp.language.grammar import Slot, joined_slots
 
 
 @dataclass(frozen=True)
@@ -58,12 +57,17 @@ def _expand(grammar, nonterminal, budget, rules, plans):
 
 def _plans_of_rule(grammar, rule, budget, used):
     constant, scalars, directions, conditions = None, [], [], []
-    for nonterminal in _product_slots(rule):
+    slots = joined_slots(rule.body, "mul")
+    if slots is None:
+        raise GrammarError(
+            f"exhaustive search needs products; rule {rule.nonterminal} -> {rule.text} is none"
+        )
+    for nonterminal in (slot.nonterminal for slot in slots):
         shape = grammar.types[nonterminal].shape
-        first = grammar.rules_of[nonterminal]
-        if first and all(isinstance(r.body, Constant) for r in first):
-            constant = first[0].body.name
-            used = (*used, first[0].index)
+        if grammar.is_constant(nonterminal):
+            first = grammar.rules_of[nonterminal][0]
+            constant = first.body.name
+            used = (*used, first.index)
         else:
             {"scalar": scalars, "vector": directions, "bool": conditions}[shape].append(nonterminal)
     if constant is None or len(directions) != 1 or len(conditions) > 1 or len(scalars) > 2:
@@ -75,19 +79,6 @@ def _plans_of_rule(grammar, rule, budget, used):
     condition = (conditions[0], budget) if conditions else None
     for left, operator, right, extra in _coefficients(grammar, scalars, budget):
         yield Plan(constant, left, right, operator, direction, condition, (*used, *extra))
-
-
-def _product_slots(rule):
-    def collect(body):
-        if isinstance(body, Slot):
-            return [body.nonterminal]
-        if isinstance(body, tuple) and body[0] == "mul":
-            return [name for part in body[1:] for name in collect(part)]
-        raise GrammarError(
-            f"exhaustive search needs products; rule {rule.nonterminal} -> {rule.text} is none"
-        )
-
-    return collect(rule.body)
 
 
 def _coefficients(grammar, scalars, budget):

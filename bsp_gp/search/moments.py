@@ -7,7 +7,7 @@ the moments is computed first, and property factors weigh these.
 
 import numpy as np
 
-from bsp_gp.search.scoring import TILE_BYTES, GroupScorer, values_of
+from bsp_gp.search.scoring import TILE_BYTES, GroupScorer
 
 SAME = 1e-13
 """Part of the patterns of sources that is rounding."""
@@ -24,7 +24,7 @@ class MomentScorer(GroupScorer):
         targets = np.moveaxis(targets.reshape(m, s, -1), 1, 0)  # (S, m, y)
         whitener = np.ascontiguousarray(np.moveaxis(batch.whitener, 3, 1)).reshape(s, r, m, -1)
         weights, groups = _patterns(left.reshape(len(left), s, r, j))
-        right = values_of(self.block.right)
+        right = self.block.right.values
         own = groups.shape[2] // r  # patterns, or sources, of each receiver
         widest = max(n * max(vector.shape[-1] * own, j), max(m, targets.shape[2]) * own)
         step = max(1, TILE_BYTES // (8 * s * r * widest))

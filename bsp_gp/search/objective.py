@@ -6,7 +6,6 @@ go through `fit_constants`. Laws that are equal on the data are scored once (`re
 """
 
 import functools
-import hashlib
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +15,13 @@ from bsp_gp.language.formula import summands
 from bsp_gp.language.pcfg import Pcfg
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.search.banks import Rows
-from bsp_gp.search.candidate import Candidate
+from bsp_gp.search.candidate import Candidate, front_of
 from bsp_gp.search.columns import BATCH_BYTES, Columns, Projected, orthonormal
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.recognition import Recogniser
 from bsp_gp.search.scoring import COLLINEAR
 
-CRITERIA = ("prior", "bic", "mdl")
+CRITERIA = ("prior", "mdl")
 
 
 class Score(NamedTuple):
@@ -61,8 +60,8 @@ class Objective:
         As in `search_exhaustive`: residual of a law that is there already, columns of its free
         constants.
     criterion : str
-        "prior": loss + beta * complexity, as in the paper; "bic": loss with the noise level
-        profiled out plus half a log n per constant; "mdl": that plus the complexity.
+        "prior": loss + beta * complexity, as in the paper; "mdl": loss with the noise level
+        profiled out, half a log n per constant, and the complexity.
     beta : float
         Weight of the complexity under "prior".
     starts : int
@@ -83,25 +82,12 @@ class Objective:
         independent of each other there.
     best : dict of int to (Expression, Score)
         Law -> its least complex expression seen so far.
-    history : list of list of Expression
-        All distinct trees, in the order and in the batches in which they were scored: scoring
-        the batches again gives the same numbers and the same bits.
     """
 
     def __init__(
-        self,
-        regression,
-        grammar,
-        kind,
-        *,
-        target=None,
-        nuisance=None,
-        criterion="prior",
-        beta=1e-3,
-        starts=3,
-        null_targets=None,
-        inner=None,
-    ):
+        self, regression, grammar, kind, *, target=None, nuisance=None, criterion="prior",
+        beta=1e-3, starts=3, null_targets=None, inner=None,
+    ):  # fmt: skip
         if criterion not in CRITERIA:
             raise SettingsError(f"criterion must be one of {CRITERIA}, got {criterion!r}")
         if kind not in grammar.start:
@@ -136,7 +122,6 @@ class Objective:
         self._laws = {}
         self._fits = {}
         self.best = {}
-        self.history = []
 
     def fresh(self):
         """The same objective, nothing scored yet."""
@@ -145,25 +130,6 @@ class Objective:
     def __reduce__(self):
         # To another process go the data, not what was computed from them.
         return (functools.partial(Objective, **self._given), ())
-
-    @property
-    def fingerprint(self):
-        """Hash of what the scores depend on: grammar and its mask, settings, data."""
-        settings = (
-            self.grammar.fingerprint,
-            tuple(map(bool, self.grammar.enabled)),
-            self.kind,
-            self.criterion,
-            float(self.beta),
-            self.starts,
-        )
-        digest = hashlib.sha256(repr(settings).encode())
-        for batch in self.regression.batches:
-            for array in (batch.times, batch.positions, batch.velocities, batch.scale):
-                digest.update(np.ascontiguousarray(array).tobytes())
-        for array in (self.y, self.q, self.rows.input("m_i", False)):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()
 
     # --- scores ----------------------------------------------------------------------------------
 
@@ -176,8 +142,6 @@ class Objective:
             if expression not in scores and expression not in new:
                 new[expression] = law_of(expression)
         self._score_new(new)
-        if new:
-            self.history.append(list(new))
         self.n_repeats += len(expressions) - len(new)
         return self.known(expressions)
 
@@ -235,7 +199,7 @@ class Objective:
             return loss + self.beta * complexity
         n = self.regression.n_rows
         profiled = 0.5 * n * np.log(max(2 * loss / n, 1e-30)) + 0.5 * n_constants * np.log(n)
-        return profiled + (complexity if self.criterion == "mdl" else 0.0)
+        return profiled + complexity
 
     def _settle(self, key, loss, n_constants):
         """Give a law its number; a loss that is not finite is no law."""
@@ -336,15 +300,9 @@ class Objective:
             constants, residual = dict(fit.law.constants), fit.residual
         loss = 0.5 * float(np.square(residual).sum())
         return Candidate(
-            formula,
-            self.kind,
-            constants,
-            loss,
-            score.complexity,
-            self.total - 2 * loss,
-            self.total,
-            expression,
-        )
+            formula, self.kind, constants, loss, score.complexity, self.total - 2 * loss,
+            self.total, expression,
+        )  # fmt: skip
 
     def front(self):
         """Best distinct laws per complexity, each better than every simpler one.
@@ -353,12 +311,7 @@ class Objective:
         -------
         list of (Expression, Score), simplest first
         """
-        out = []
-        by_complexity = sorted(self.best.values(), key=lambda e: (e[1].complexity, e[1].loss))
-        for expression, score in by_complexity:
-            if not out or score.loss < out[-1][1].loss:
-                out.append((expression, score))
-        return out
+        return list(front_of(self.best.values(), lambda entry: entry[1]))
 
 
 def _key(law):

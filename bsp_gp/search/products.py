@@ -1,5 +1,6 @@
 """All products of two banks of scalar factors, and the law that each of them is."""
 
+import functools
 import heapq
 import itertools
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ class Side:
         self.entries = entries
         self.complexity = np.array([min(e.complexity for e in x.family()) for x in entries])
 
+    @functools.cached_property
     def values(self):
         """Values (n, P), each scaled to a greatest size of one: constants take up the scale."""
         stacked = np.stack([entry.value for entry in self.entries])
@@ -33,11 +35,10 @@ class Block:
     constant: str
     needs_factor: bool = False
 
-    def is_static(self, rows):
+    @functools.cached_property
+    def is_static(self):
         """Whether the left factors depend on properties only."""
-        if not hasattr(self, "_static"):
-            self._static = all(entry.is_static for entry in self.left.entries)
-        return self._static
+        return all(entry.is_static for entry in self.left.entries)
 
     def formulas(self, a, b, directed, most):
         """The law of this product and those merged into it.

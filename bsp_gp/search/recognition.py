@@ -22,7 +22,7 @@ from bsp_gp.language.formula import (
     rename_constants,
     summands,
 )
-from bsp_gp.language.grammar import Slot, fill
+from bsp_gp.language.grammar import Slot, fill, joined_slots
 from bsp_gp.search.banks import fingerprints
 
 _SOUGHT = frozenset(("centre", "middle"))
@@ -252,16 +252,16 @@ def _pattern(rule, grammar):
     if isinstance(rule.body, Slot):
         is_force = grammar.types[rule.nonterminal].shape == "vector"
         return _Pattern("pass" if is_force else "formula")
-    slots = _slots(rule.body, "add")
+    slots = joined_slots(rule.body, "add")
     if slots is not None and all(grammar.types[s.nonterminal].shape == "vector" for s in slots):
         return _Pattern("sum")
-    slots = _slots(rule.body, "mul")
+    slots = joined_slots(rule.body, "mul")
     if slots is None:
         return _Pattern("formula")
     by_shape = {"scalar": [], "vector": [], "bool": []}
     constants = []
     for slot in slots:
-        if _is_constant(slot.nonterminal, grammar):
+        if grammar.is_constant(slot.nonterminal):
             constants.append(slot.position)
         else:
             by_shape.setdefault(grammar.types[slot.nonterminal].shape, []).append(slot.position)
@@ -273,21 +273,6 @@ def _pattern(rule, grammar):
         tuple(by_shape["scalar"]),
         (*by_shape["vector"], *by_shape["bool"]),
     )
-
-
-def _slots(body, operator):
-    """The slots of a body that is nothing but slots joined by one operator; None otherwise."""
-    if isinstance(body, Slot):
-        return [body]
-    if not isinstance(body, tuple) or body[0] != operator:
-        return None
-    found = [_slots(part, operator) for part in body[1:]]
-    return None if None in found else [slot for part in found for slot in part]
-
-
-def _is_constant(nonterminal, grammar):
-    rules = grammar.rules_of[nonterminal]
-    return bool(rules) and all(isinstance(rule.body, Constant) for rule in rules)
 
 
 def _parts(formula):

@@ -36,8 +36,7 @@ class RowScorer:
         active = np.flatnonzero(np.any(weighted, axis=1))
         self.active = active
         self.weighted = weighted[active]
-        receiver = receiver_index(rows)[active]
-        self.receiver = receiver
+        self.receiver = rows.receiver[active]
         targets = [_spread(regression, rows, ys[:, k])[active] for k in range(ys.shape[1])]
         self.q_rows = np.stack([np.einsum("rd,rd->r", self.weighted, t) for t in targets])
         self.g_rows = [
@@ -57,7 +56,7 @@ class RowScorer:
 
     def _active(self, side):
         """Values of the rows in which the direction is not zero."""
-        values = values_of(side)
+        values = side.values
         return values if len(self.active) == values.shape[1] else values[:, self.active]
 
     def _sizes(self, left, right):
@@ -88,25 +87,6 @@ class RowScorer:
             i, j = first[part], second[part]
             total += (left[:, i] * left[:, j] * k[part]) @ (right[:, i] * right[:, j]).T
         return total
-
-
-def values_of(side):
-    """Values of a side, stacked once."""
-    if not hasattr(side, "_stacked"):
-        side._stacked = side.values()
-    return side._stacked
-
-
-def receiver_index(rows):
-    """Which (instant, scene, receiver) each valid row belongs to."""
-    if not hasattr(rows, "_receiver"):
-        parts, offset = [], 0
-        for shape in rows.shapes:
-            n = int(np.prod(shape[:3]))
-            parts.append(np.repeat(np.arange(offset, offset + n), shape[3]))
-            offset += n
-        rows._receiver = np.concatenate(parts)[rows.keep]
-    return rows._receiver
 
 
 def _row_pairs(receiver):
@@ -186,7 +166,7 @@ class GroupScorer:
         seen = None if self.mask is None else self.mask[part].reshape(shape)
         a = left.reshape(len(left), -1)  # (n_left, S R J)
         pairs = (left[..., :, None] * left[..., None, :]).reshape(len(left), -1)
-        right = values_of(self.block.right)
+        right = self.block.right.values
         step = max(1, TILE_BYTES // (8 * n * s * r * j * d))
         for first in range(0, len(right), step):
             tile = slice(first, first + step)
@@ -219,7 +199,7 @@ def _group_values(side, rows):
         stacked = []
         for index in range(len(rows.shapes)):
             parts = []
-            for value in values_of(side):
+            for value in side.values:
                 full = rows.unflatten(value)[index]
                 # Constant in time: the value of largest size is the value (0 = invalid row).
                 pick = np.argmax(np.abs(full), axis=0)

@@ -14,7 +14,7 @@ import numpy as np
 
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.formula import Call, Constant, Input
-from bsp_gp.language.grammar import Slot
+from bsp_gp.language.grammar import Slot, joined_slots
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
 from bsp_gp.search.candidate import Candidate, SearchResult, front_of
 from bsp_gp.search.columns import Projected, orthonormal
@@ -44,31 +44,21 @@ def terms_of(grammar, kind):
         nonterminal nor a sum of nonterminals.
     """
     start = grammar.start[kind]
-    sums = [_added(rule.body) for rule in grammar.rules_of[start]]
-    if all(names is None for names in sums) or max(len(n or ()) for n in sums) < 2:
+    sums = [joined_slots(rule.body, "add") for rule in grammar.rules_of[start]]
+    if all(slots is None for slots in sums) or max(len(slots or ()) for slots in sums) < 2:
         return (start,)
     if None in sums:
         raise GrammarError(
             f"exhaustive search of sums needs rules {start} -> term, {start} -> add(term, term)"
         )
-    longest = max(sums, key=len)
-    shapes = {_shape(grammar, name) for names in sums for name in names}
+    longest = tuple(slot.nonterminal for slot in max(sums, key=len))
+    shapes = {_shape(grammar, slot.nonterminal) for slots in sums for slot in slots}
     if len(shapes) > 1:
         raise GrammarError(
             f"exhaustive search of sums needs terms that differ in their constants only; "
             f"{', '.join(longest)} of grammar {grammar.name} do not"
         )
-    return tuple(longest)
-
-
-def _added(body):
-    """Nonterminals of a sum; None for any other body."""
-    if isinstance(body, Slot):
-        return [body.nonterminal]
-    if isinstance(body, tuple) and body[0] == "add":
-        parts = [_added(part) for part in body[1:]]
-        return None if None in parts else [name for part in parts for name in part]
-    return None
+    return longest
 
 
 def _shape(grammar, nonterminal):
@@ -76,12 +66,9 @@ def _shape(grammar, nonterminal):
 
     def shape(body):
         if isinstance(body, Slot):
-            rules = grammar.rules_of[body.nonterminal]
-            return (
-                "constant"
-                if all(isinstance(r.body, Constant) for r in rules)
-                else (body.nonterminal)
-            )
+            bodies = [rule.body for rule in grammar.rules_of[body.nonterminal]]
+            is_constant = all(isinstance(each, Constant) for each in bodies)
+            return "constant" if is_constant else body.nonterminal
         return (body[0], *map(shape, body[1:])) if isinstance(body, tuple) else repr(body)
 
     return tuple(shape(rule.body) for rule in grammar.rules_of[nonterminal])
@@ -133,14 +120,9 @@ def search_sums(regression, grammar, *, kind, nuisance=None, target=None, **sett
         guarantee=search.guarantee(),
     )
     return SearchResult(
-        best,
-        tuple(sorted(candidates, key=lambda c: c.loss)),
-        front_of(candidates),
-        search.n_evaluated,
-        search.n_failed,
-        time.perf_counter() - started,
-        certificate,
-    )
+        best, tuple(sorted(candidates, key=lambda c: c.loss)), front_of(candidates),
+        search.n_evaluated, search.n_failed, time.perf_counter() - started, certificate,
+    )  # fmt: skip
 
 
 class _Sums:
@@ -204,7 +186,7 @@ class _Sums:
                 continue
             others = np.ones(len(self.target), dtype=bool)
             others[rows] = False
-            found = self.searched(self.nuisance, groups=[others])
+            found = self.searched(self.nuisance, seen=others)
             laws = [(split_linear(c.formula)[1], c.complexity) for c in found.candidates[:WIDTH]]
             out += [self.refitted([law]) for law in laws]
         return out
@@ -321,14 +303,10 @@ class _Sums:
         # The choice among the rules of the start symbol is a part of the prior.
         choice = np.log(len(self.grammar.rules_of[self.grammar.start[self.kind]]))
         return Candidate(
-            formula,
-            self.kind,
-            {name: float(fit.law.constants[name]) for name in formula.constants},
-            fit.loss,
-            sum(chosen.complexities) + float(choice),
-            total - 2 * fit.loss,
-            total,
-        )
+            formula, self.kind,
+            {name: float(fit.law.constants[name]) for name in formula.constants}, fit.loss,
+            sum(chosen.complexities) + float(choice), total - 2 * fit.loss, total,
+        )  # fmt: skip
 
     def guarantee(self):
         return (

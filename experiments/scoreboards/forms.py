@@ -2,8 +2,6 @@
 
 from bsp_gp.fitting.starts import roles_of
 
-__all__ = ["with_rounded_powers"]
-
 
 def with_rounded_powers(law):
     """A law with its fitted exponents rounded to 0.1."""

@@ -24,8 +24,7 @@ class Case:
     kind : str
         Class of the try, a key of `tests.fuzz.kinds.KINDS`.
     argv : tuple of str
-        Arguments of ``bsp-gp``; paths are relative to the folder. ``@resume NAME`` takes up a
-        search from its checkpoint instead, which the command line cannot do.
+        Arguments of ``bsp-gp``; paths are relative to the folder.
     files : dict of str to bytes
     why : str
         What was found with it.

@@ -5,26 +5,15 @@ import random
 import hypothesis
 from hypothesis import HealthCheck, settings
 
-from tests.fuzz import (
-    checkpoints,
-    closing,
-    films,
-    grammars,
-    laws,
-    options,
-    tables,
-    trackers,
-    worlds,
-)
+from tests.fuzz import closing, films, grammars, laws, options, tables, trackers, worlds
 
 KINDS = {
     "folders": (tables.folders, 2000),
     "tables": (tables.lone, 2200),
     "laws": (laws.cases, 1900),
-    "grammars": (grammars.cases, 1000),
+    "grammars": (grammars.cases, 1400),
     "trackers": (trackers.cases, 700),
     "films": (films.cases, 400),
-    "checkpoints": (checkpoints.cases, 400),
     "options": (options.cases, 800),
     "worlds": (worlds.cases, 500),
     "closing": (closing.cases, 100),

@@ -20,7 +20,7 @@ _seeds = mostly(_few("0", "1", "7"), odd_numbers, 3)
 _OPTIONS = {
     "--alpha": mostly(_few("0.01", "0.05"), odd_numbers, 3), "--max-levels": _counts,
     "--max-rounds": _counts, "--bootstrap": _few("0", "-1", "x"), "--seed": _seeds,
-    "--exclude": _few("v_i", "m_i", "t", "zz", ""), "--per-entity": _few("auto", "yes", "no", "x"),
+    "--exclude": _few("v_i", "m_i", "t", "zz", ""),
     "--time-limit": _few("9s", "0", "x"), "--search": _few("exhaustive", "auto", "genetic"),
     "--grammar": _few("g.toml", "g.toml", "missing", "data", "/dev/null", "../g.toml", "a" * 300),
     "--latent": _few("mass", "friction", "zz", "radius"),
@@ -45,7 +45,7 @@ _OPTIONS = {
 }  # fmt: skip
 _FLAGS = ("--json", "--overwrite", "--allow-time", "--help", "--version", "--", "-x", "--quie")
 _OF = {
-    "close": "--alpha --max-levels --max-rounds --exclude --per-entity --time-limit --search "
+    "close": "--alpha --max-levels --max-rounds --exclude --time-limit --search "
     "--seed --declare --model --latent --prior --out",
     "fit": "--law --model --seed --out --alpha --grammar",
     "infer": "--law --latent --prior --entities --share --likelihood --e-step --starts --out",

@@ -180,7 +180,7 @@ def _faults_of_files(running, rc):
             faults.append(("partial", f"status {rc}, and these changed: {changed[:8]}"))
         return faults
     own = [n for n in changed if n in before and not n.startswith("out")]
-    if own and running.case.argv[0] != "@resume":
+    if own:
         faults.append(("inputs", f"changed: {own[:8]}"))
     debris = [n for n in changed if any(p.startswith(".") and p != MARK for p in Path(n).parts)]
     if debris:
@@ -287,10 +287,6 @@ def _expect_progress(limit_s, stuck):
 
 
 def _call(case):
-    if case.argv[:1] == ("@resume",):
-        from tests.fuzz.checkpoints import resume
-
-        return resume(case.argv[1])
     from bsp_gp import cli
 
     cli._unwarned = lambda quiet: contextlib.nullcontext()  # what --quiet hides is a fault as well

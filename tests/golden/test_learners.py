@@ -76,4 +76,4 @@ def test_learners_find_the_true_law(problem, name, strategy, seed):
     )
     # Nothing as simple is as good, and the front ends with it.
     assert result.front[-1].loss < 1e-12 * best.total
-    assert objective.n_trees == objective.n_repeats + sum(map(len, objective.history))
+    assert objective.n_trees == objective.n_repeats + len(objective._scores)

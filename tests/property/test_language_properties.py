@@ -1,4 +1,3 @@
-import json
 import pickle
 
 import numpy as np
@@ -8,7 +7,7 @@ from hypothesis import strategies as st
 
 from bsp_gp.data.scene import PROPERTY_UNITS
 from bsp_gp.errors import GrammarError
-from bsp_gp.language.expression import derive, from_lists, to_formula, to_lists
+from bsp_gp.language.expression import derive, to_formula
 from bsp_gp.language.formula import Call, evaluate, walk
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.inputs import input_types
@@ -117,9 +116,8 @@ def test_deap_trees_are_expressions(sample):
 
 @PROFILE
 @given(sampled())
-def test_lists_and_pickles_round_trip(sample):
+def test_pickles_round_trip(sample):
     grammar, _, _, expression = sample
-    assert from_lists(json.loads(json.dumps(to_lists(expression))), grammar) == expression
     for thing in (expression, to_formula(expression, grammar)):
         assert pickle.loads(pickle.dumps(thing)) == thing
 

@@ -133,17 +133,6 @@ def test_close_tells_its_schema_its_settings_and_its_law(closed):
     assert (closed / "law.txt").read_text().startswith(told["law"]["text"])
 
 
-@pytest.mark.parametrize(
-    ("option", "said"), [(["--guide", "off"], "is gone"), (["--per-entity", "yes"], "is gone")]
-)
-def test_options_that_close_has_no_more_are_refused(option, said, data, tmp_path, capsys):
-    words = ["close", data, "--declare", GRAVITY, "--out", str(tmp_path / "out"), "--quiet"]
-    assert main([*words, *option]) == 2
-    error = capsys.readouterr().err
-    assert said in error and len(error.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.slow
 def test_an_interrupted_close_goes_on_to_the_same_report(data, tmp_path, monkeypatch, capsys):
     from bsp_gp.loop import close

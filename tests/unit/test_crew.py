@@ -135,7 +135,7 @@ def test_an_error_comes_out_where_its_part_is_asked_for(pool):
 
 def test_shared_values_of_other_runs_are_forgotten():
     for number in range(5):
-        sent = workers._Sent((os.getpid(), -number), None, pickle.dumps(Counted(number)))
+        sent = workers._Sent((os.getpid(), -1 - number), None, pickle.dumps(Counted(number)))
         assert workers._part(times, sent, 1) == number
     assert len(workers._KNOWN) <= workers.MOST_KNOWN
 

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.pcfg import Pcfg
-from bsp_gp.search.cross_entropy import PRESETS, CrossEntropy, RandomSearch
+from bsp_gp.search.cross_entropy import CrossEntropy, RandomSearch
 from bsp_gp.search.objective import Objective
 from tests.unit.test_banks_exhaustive import MIXED, derivations, grammar_of, regression_of
 from tests.unit.test_objective import newtonian_of
@@ -130,18 +130,6 @@ def test_one_seed_draws_the_same_trees():
 def objective():
     regression = regression_of()
     return Objective(regression, newtonian_of(regression), "pair")
-
-
-def test_presets():
-    shared = {"max_levels": 10, "distinct": False, "uniform_share": 0.0, "patience": None,
-              "pool": None}  # fmt: skip
-    for name, numbers in {
-        "paper": (1000, 800, 200), "paper-weak": (800, 600, 200), "paper-small": (400, 300, 100)
-    }.items():  # fmt: skip
-        preset = PRESETS[name]
-        assert (preset.population, preset.elite, preset.smoothing) == numbers
-        assert {key: getattr(preset, key) for key in shared} == shared
-    assert PRESETS["default"] == CrossEntropy()
 
 
 def reward(objective, rule):
@@ -280,7 +268,7 @@ def test_no_law_with_a_value_is_no_elite():
         state = strategy.step(json.loads(json.dumps(state)), objective, rng)
         assert not np.any(state["counts"])
     assert objective.n_scored == 0
-    assert objective.n_failed == sum(map(len, objective.history))
+    assert objective.n_failed == len(objective._scores)
 
 
 def test_random_search_covers_a_small_grammar():

@@ -6,11 +6,9 @@ from bsp_gp.inference.beam import Beam, contains_latent
 from bsp_gp.inference.e_step import EStep
 from bsp_gp.inference.em import EmSettings, fit_em
 from bsp_gp.inference.likelihood import Likelihood
-from bsp_gp.inference.m_step import Exhaustive, WithSearch, averaged_regression
+from bsp_gp.inference.m_step import Exhaustive, averaged_regression
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.search.cross_entropy import CrossEntropy
-from bsp_gp.search.run import Budget
 from tests.latent_worlds import PULL, dataset, grammar_file, law_of, masses_of, scenes
 
 QUICK = EmSettings(
@@ -60,32 +58,6 @@ def test_the_same_seed_gives_the_same_answer(grammar, learnt):
     )  # fmt: skip
     assert np.array_equal(again.posterior.draws, learnt.posterior.draws)
     assert again.law.text() == learnt.law.text()
-
-
-def test_any_search_can_be_the_m_step(grammar):
-    some = scenes(1)
-    em = fit_em(
-        some, masses_of(some), grammar, LIKELIHOOD, rng=np.random.default_rng(1),
-        settings=EmSettings(
-            n_starts=1, max_iterations=1, n_draws=1, refine=False, final=None, n_best=5,
-            n_reserved=5, e_step=EStep(n_eff=50, max_steps=200),
-        ),
-        m_step=WithSearch(CrossEntropy(population=60, elite=20), Budget(n_steps=2)),
-    )  # fmt: skip
-    assert em.contenders and np.isfinite(em.best.loss)
-
-
-def test_an_interrupt_ends_the_iterations_and_not_one_search_of_them(grammar, monkeypatch):
-    def interrupt(*args):
-        raise KeyboardInterrupt
-
-    some, latents = scenes(1, noise=0.01), masses_of(scenes(1, noise=0.01))
-    draws = latents.sample(2, rng=np.random.default_rng(0))
-    regression = averaged_regression(some, latents, draws, np.full(2, 0.5), LIKELIHOOD)
-    m_step = WithSearch(CrossEntropy(population=60, elite=20), Budget(n_steps=2))
-    monkeypatch.setattr(CrossEntropy, "step", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        m_step.candidates(regression, grammar, ("pair",), None, np.random.default_rng(0))
 
 
 def test_em_alone_takes_the_m_steps_law_as_it_is(grammar):

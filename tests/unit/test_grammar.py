@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bsp_gp.errors import GrammarError
-from bsp_gp.language.expression import derive, from_lists
+from bsp_gp.language.expression import derive
 from bsp_gp.language.grammar import grammar_directory, load_grammar, read_grammar
 from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
@@ -292,13 +292,6 @@ def test_files_name_themselves_in_errors(tmp_path):
         load_grammar("newtonain")
     bad.write_text(SMALL, encoding="utf-8")
     assert load_grammar(bad).name == "small"
-
-
-def test_expressions_of_another_grammar_are_refused():
-    grammar = read_grammar(small())
-    for lists in ([99], [-1], ["0"], [0], [0, [0]], [1, [1]], [4, [1]]):
-        with pytest.raises(GrammarError):
-            from_lists(lists, grammar)
 
 
 def test_a_measured_column_may_be_called_like_a_constant_of_the_grammar():

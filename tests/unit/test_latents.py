@@ -5,7 +5,7 @@ import pytest
 
 from bsp_gp.data.scene import Entity, LatentDeclaration
 from bsp_gp.data.tables import load_dataset, save_dataset
-from bsp_gp.errors import DataError, SettingsError
+from bsp_gp.errors import DataError
 from bsp_gp.inference.latents import Latents, declared_latents, latents_of
 from bsp_gp.inference.priors import Prior
 from tests.latent_worlds import MASSES, dataset, masses_of, scenes
@@ -81,8 +81,6 @@ def test_declared_latents_survive_the_round_trip_of_a_folder(tmp_path):
     assert masses[0].prior == Prior("uniform", 0.2, 9.0)
     friction = next(item for item in latents.items if item.column == "friction")
     assert (friction.prior.mean, friction.prior.sd, friction.prior.low) == (1.0, 0.5, 0.1)
-    with pytest.raises(SettingsError, match="charge"):
-        declared_latents(load_dataset(folder), columns=["charge"])
 
 
 def test_prior_of_all_is_the_sum_and_coordinates_round_trip():

@@ -146,10 +146,9 @@ def test_bands_hold_the_track_and_figures_are_drawn(tmp_path):
         law, [scene], latents, Likelihood(sigma=1e-3), rng=np.random.default_rng(0),
         settings=EStep(n_eff=200, keep_chain=True),
     )  # fmt: skip
-    bands = predictive_bands(
-        law, scene, latents, posterior, rng=np.random.default_rng(1), n_draws=60, sigma=1e-3
-    )
-    inside = (bands.observed >= bands.low) & (bands.observed <= bands.high)
+    bands = predictive_bands(law, scene, latents, posterior, rng=np.random.default_rng(1))
+    noise = 3e-3
+    inside = (bands.observed >= bands.low - noise) & (bands.observed <= bands.high + noise)
     assert inside[2:].mean() > 0.8
     trace_figure(posterior, tmp_path / "t.png")
     corner_figure(posterior, tmp_path / "c.png")

@@ -101,7 +101,7 @@ def test_what_is_read(tmp_path, rng):
     file = write(tmp_path / "star.csv", dates, speeds, errors)
     data = load_dataset(file)
     (scene,) = data.scenes
-    assert data.is_of_sight and data.units.is_speed
+    assert data.is_of_sight
     np.testing.assert_allclose(scene.positions[:, 0, 0], speeds, atol=1e-3)
     np.testing.assert_allclose(scene.sigma[:, 0, 0], errors)
     np.testing.assert_allclose(np.diff(scene.times), np.diff(dates) * DAY, atol=1.0)

@@ -51,9 +51,6 @@ def test_a_study_is_resumed_and_leaves_other_files_alone(tmp_path):
     (out / "notes.md").write_text("mine")
     assert run(STUDY, "--out", out).returncode == 0
     assert (out / "notes.md").read_text() == "mine"
-    (out / ".bsp_gp").unlink()  # as studies were before there were marks
-    (out / "notes.md").unlink()
-    assert run(STUDY, "--out", out).returncode == 0
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "summary.md").write_text("mine")
