@@ -108,6 +108,8 @@ def _leap(times, places):
         onward = (places[[k + 2, k + 3]] - places[k + 1]) @ way[k] / (way[k] @ way[k])
         before = np.median(places[k - FEW : k + 1], axis=0)  # the last row may be off itself
         away = np.linalg.norm(np.median(places[k + 1 :], axis=0) - before)
-        if np.all(onward < ONWARD) and away > 0.5 * np.linalg.norm(way[k]):
+        back = np.linalg.norm(places[k + 2 : k + 2 + FEW] - before, axis=1).min()
+        is_row = back < ONWARD * np.linalg.norm(way[k])  # a row is off, and the next are not
+        if np.all(onward < ONWARD) and away > 0.5 * np.linalg.norm(way[k]) and not is_row:
             return k
     return None

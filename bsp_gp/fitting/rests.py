@@ -26,6 +26,8 @@ NEAR = 0.01
 SLOW, CREPT = 0.05, 0.03
 """Part of its longest step up to which a body creeps, and of the extent how far that may take it:
 what is held in a hand, or by friction, does not stand quite still."""
+STEADY = 10.0
+"""Times its scatter about an even motion that a way is which is no creeping."""
 BESIDE = 2
 """Rows about the last that stands still, in which a body may already move."""
 SETTLED = 0.1
@@ -199,7 +201,19 @@ def _n_near(places):
     extent = np.linalg.norm(np.ptp(places, axis=0))
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     slow = _until(steps > SLOW * steps.max(initial=0.0)) + 1
-    return max(_until(away > NEAR * extent), min(slow, _until(away > CREPT * extent)))
+    crept = min(slow, _until(away > CREPT * extent))
+    return max(_until(away > NEAR * extent), 0 if _is_steady(places[:crept]) else crept)
+
+
+def _is_steady(places):
+    """Whether rows go on evenly, as under a parachute: what creeps stops and goes."""
+    if len(places) < 2 * LEAST_ROWS:
+        return False
+    t = np.linspace(-1.0, 1.0, len(places))
+    centred = places - places.mean(axis=0)
+    slope = t @ centred / (t @ t)
+    left = centred - t[:, None] * slope
+    return bool(np.square(2 * slope).sum() > STEADY**2 * np.square(left).sum(axis=1).mean())
 
 
 def _until(is_over):
