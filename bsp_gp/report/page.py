@@ -123,7 +123,7 @@ def _other_form(effect, done, dataset):
     is_open = any(not e["is_told"] for e in effect.exponents)  # its interval says as much
     if effect.is_fact or is_open or effect.kind not in ("pair", "field", "declared_term_change"):
         return ""
-    models = {row["law"]: row for row in done.hypotheses if row["model"]}
+    models = {row["law"]: row for row in done.hypotheses if row.get("model")}
     own = models.get(done.effect.name)
     changed = {text: row for text, row in models.items() if row["code"] in CHANGES}
     for text in effect.equivalents:

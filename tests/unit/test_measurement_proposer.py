@@ -73,7 +73,8 @@ def test_codes_priors_bounds_and_starts():
         part = p.hypothesis.parts[-1]
         n = len(data.scenes) if len(part.whose) == 1 else 1 if part.whose else counts[p.code]
         n = 1 if p.code in ("drift", "scale", "clock") and not part.whose else n
-        assert p.log_prior == pytest.approx(-3.0 - np.log(n))
+        n_causes = 2 if p.code in ("decentred", "zoom") else 1
+        assert p.log_prior == pytest.approx(-3.0 * n_causes - np.log(n))
         for number in part.parameters:
             assert number.low <= number.start <= number.high
     # Bodies that fall in nothing are not seen to drift: their initial states take it up.

@@ -58,7 +58,7 @@ def _earlier(view, name):
     delay, place, velocity = Constant(name), _input("p_i"), _input("v_i")
     past = {_input("p_i"): Call("sub", place, Call("mul", delay, velocity)), **_by_others(name)}
     terms = view.fit.law.terms
-    if any(term.kind == "pair" for term in terms):
+    if not terms or any(term.kind == "pair" for term in terms):
         return past  # their sum over all others is no part of a formula
     force = None
     for term in terms:
