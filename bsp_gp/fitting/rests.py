@@ -155,7 +155,7 @@ def _still_ends(scene, levels, settled=0.0):
         return 0, 0
     places, seen = in_levels(scene, scene.dynamic[0], levels)
     head = _n_still(scene.times[seen], places[seen])
-    tail = _n_still(-scene.times[seen][::-1], places[seen][::-1])
+    tail = _n_still(-scene.times[seen][::-1], places[seen][::-1], is_end=True)
     moving = np.linalg.norm(np.diff(places[seen][head : len(seen) - tail], axis=0), axis=1)
     if tail and len(moving) and moving[-BESIDE - 1 :].mean() < ABRUPT * moving.mean():
         is_motion = not settled or _swings(places[seen][len(seen) - tail // 2 :])
@@ -174,7 +174,7 @@ def _swings(places):
     return bool(np.square(np.diff(places, axis=0)).sum() < SMOOTH * scatter)
 
 
-def _n_still(times, places):
+def _n_still(times, places, is_end=False):
     """Rows from the first on that stand still and do not go over smoothly into the others.
 
     What stands still may be told worse than what moves, and the very first row may be off: whoever
@@ -182,9 +182,9 @@ def _n_still(times, places):
     """
     if len(places) <= LEAST_ROWS:
         return 0
-    off = int(np.argmax([_n_near(places), 1 + _n_near(places[1:])]))
+    off = int(np.argmax([_n_near(places, is_end), 1 + _n_near(places[1:], is_end)]))
     times, places = times[off:], places[off:]
-    n = max(still_rows(places), _n_near(places))
+    n = max(still_rows(places), _n_near(places, is_end))
     if not LEAST_ROWS <= n < len(places):
         return 0
     near = slice(0, min(2 * n, len(places)))
@@ -195,18 +195,22 @@ def _n_still(times, places):
     return off + min(n + BESIDE, len(places)) if is_broken else 0
 
 
-def _n_near(places):
-    """Rows from the first on that are near it beside the way of all, or creep about there."""
+def _n_near(places, is_end):
+    """Rows from the first on that are near it beside the way of all, or creep about there.
+
+    What goes on evenly to the end of a track moves, as under a parachute; a hand may do so before
+    it lets go.
+    """
     away = np.linalg.norm(places - places[0], axis=1)
     extent = np.linalg.norm(np.ptp(places, axis=0))
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     slow = _until(steps > SLOW * steps.max(initial=0.0)) + 1
     crept = min(slow, _until(away > CREPT * extent))
-    return max(_until(away > NEAR * extent), 0 if _is_steady(places[:crept]) else crept)
+    return max(_until(away > NEAR * extent), 0 if is_end and _is_steady(places[:crept]) else crept)
 
 
 def _is_steady(places):
-    """Whether rows go on evenly, as under a parachute: what creeps stops and goes."""
+    """Whether rows go on evenly; what creeps stops and goes."""
     if len(places) < 2 * LEAST_ROWS:
         return False
     t = np.linspace(-1.0, 1.0, len(places))
