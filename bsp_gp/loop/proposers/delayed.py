@@ -28,7 +28,7 @@ class Delayed:
         null = np.zeros(view.moment_draws.shape[1])
         span = min(float(np.ptp(scene.times)) for scene in view.dataset.scenes)
         for late in _ways(view, name):
-            column = _slope(view, late, name)[:, None]
+            column = _slope(view, late, name)
             score = view.score_forces(column)
             if not score.rank:
                 continue
@@ -80,13 +80,16 @@ def _input(name):
 
 
 def _slope(view, late, name):
-    """Moments of what a small delay changes, a unit of it, (n,)."""
+    """Moments of what a small delay changes, a unit of it, (n, 1)."""
     law = view.fit.law
     terms = tuple(Term(formula, law.terms[k].kind) for k, formula in late)
     names = {n for term in terms for n in term.formula.constants}
     known = {n: law.constants.get(n, 0.0) for n in names}
     whole = ForceLaw(terms, known)
-    return sum(view.response.regression.gradient(whole, term)[name] for term in terms)
+    column = np.zeros(len(view.left))
+    for term in terms:  # a step of a size, as of a threshold, has no slope
+        column = column + view.response.regression.gradient(whole, term).get(name, 0.0)
+    return column[:, None]
 
 
 def _proposal(view, late, name, score, longest):
