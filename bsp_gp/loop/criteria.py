@@ -53,6 +53,11 @@ CAUSES = (
     "rod", "wire", "frame", "reference", "kicks", "noise", "varying_strength", "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
+CHANGES = (
+    "exponent", "number", "pulsing", "growing", "delayed", "wind", "belt", "constant_per_body",
+    "constant_per_scene",
+)  # fmt: skip
+"""Codes of causes that change a term of the law."""
 KICKED = ("contact", "collision")
 """Codes of what is over in an instant: a body that is kicked, two that kick each other."""
 KINDS = ("force", "constraint", "wall", "measurement", "hidden_body", "kicks", "noise")

@@ -644,10 +644,15 @@ class _Turn:
         self._tell_near(every, above, highest, off)
         self._fit_part()
 
+    @property
+    def _likeliest(self):
+        """The row of the likeliest proposal that was fitted, or None."""
+        fitted = (row for row in self.rows[1:] if row.is_fit and row.id in self.proposals)
+        return max(fitted, key=lambda row: row.log_posterior, default=None)
+
     def _fit_part(self):
         """Fit what would be taken in the place of the likeliest sum, where it was scored only."""
-        fitted = (row for row in self.rows[1:] if row.is_fit and row.id in self.proposals)
-        best = max(fitted, key=lambda row: row.log_posterior, default=None)
+        best = self._likeliest
         if best is None or best.n_terms < 2 or self.note_time("fits"):
             return
         part = part_of(best, self.rows[1:], self.run.criteria)
@@ -788,8 +793,7 @@ class _Turn:
 
         There a form has become another one: the sine of a wave that is long is a spring.
         """
-        fitted = (row for row in self.rows[1:] if row.is_fit and row.id in self.proposals)
-        row = max(fitted, key=lambda row: row.log_posterior, default=None)
+        row = self._likeliest
         if row is None or row.status != "at_bound":
             return
         proposal, found = self.proposals[row.id], self.fits[row.id]
@@ -815,8 +819,7 @@ class _Turn:
         Where bodies come close a strength for each scene promises more than one for all: moments
         are told of what the law as it is leaves, not of the tracks that the new law follows.
         """
-        fitted = (row for row in self.rows[1:] if row.is_fit and row.id in self.proposals)
-        row = max(fitted, key=lambda row: row.log_posterior, default=None)
+        row = self._likeliest
         shared = row and _with_one_strength(
             self.proposals[row.id], self.hypotheses[0], self.fits[row.id], self.run.criteria
         )

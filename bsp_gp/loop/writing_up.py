@@ -24,7 +24,7 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.aliases import has_alias
 from bsp_gp.loop.constancy import Z_90, Constancy, powers_beside
-from bsp_gp.loop.criteria import FORESEEING, KICKED
+from bsp_gp.loop.criteria import CHANGES, FORESEEING, KICKED
 from bsp_gp.loop.decide import share_of_listed
 from bsp_gp.loop.foresight import NO_BETTER, NOTABLE, foresees
 from bsp_gp.loop.outcome import Effect, Missing, Overlay, RoundRecord, is_open, law_record
@@ -37,11 +37,6 @@ from bsp_gp.physics.bodies import input_types_of
 from bsp_gp.physics.force import split_linear
 from bsp_gp.units import ACCELERATION, DIMENSIONLESS, FORCE
 
-CHANGES = (
-    "exponent", "number", "pulsing", "growing", "delayed", "wind", "belt", "constant_per_body",
-    "constant_per_scene",
-)  # fmt: skip
-"""Codes of causes that change a term of the law."""
 HEAVIEST = 10
 """How many times all others a body weighs that is named as the one that acts."""
 UNLISTED = {"varying_strength": "strength_varies", "free_force": "force_beside"}

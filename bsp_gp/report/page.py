@@ -7,10 +7,9 @@ from types import SimpleNamespace
 from bsp_gp.data.scene import CHECK
 from bsp_gp.language.formula import summands
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.criteria import KICKED
+from bsp_gp.loop.criteria import CHANGES, KICKED
 from bsp_gp.loop.stored import formula_of
 from bsp_gp.loop.told import retold
-from bsp_gp.loop.writing_up import CHANGES
 from bsp_gp.physics.force import needs_masses, split_linear
 from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
 from bsp_gp.report.codes import (

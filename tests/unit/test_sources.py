@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import bsp_gp
+from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.law_fit import constant_estimates
@@ -18,6 +19,7 @@ from bsp_gp.loop.view import View
 from bsp_gp.physics.masses import with_usable_masses
 from bsp_gp.planning.means import Body, Experiment, means_from
 from bsp_gp.report.page import page_of
+from tests.throws import SI
 
 SIGMA, TIMES = 0.02, np.linspace(0.0, 6.0, 31)
 STARTS = np.array([[-4.0, 1.0], [3.0, 3.5], [1.0, -4.0]])
@@ -54,6 +56,44 @@ def world(strengths, power, n_scenes=3):
         sigma = np.full(places.shape, SIGMA)
         scenes.append(experiment.scene(f"recording {number}", places, sigma=sigma))
     return means.dataset(scenes)
+
+
+def charged(charges, masses):
+    """Bodies that push each other apart by the product of two charges over distance squared."""
+    rng, scenes, times = np.random.default_rng(6), [], np.linspace(0.0, 2.0, 61)
+    charges, masses = np.array(charges), np.array(masses)
+    size = 2 * len(charges)
+
+    def rates(_, state):
+        places = state[:size].reshape(-1, 2)
+        gaps = places[:, None] - places[None]
+        distance = np.linalg.norm(gaps, axis=2, keepdims=True)
+        distance[distance == 0] = 1.0
+        force = (charges[:, None, None] * charges[None, :, None] * gaps / distance**3).sum(axis=1)
+        return np.concatenate([state[size:], (force / masses[:, None]).ravel()])
+
+    for number in range(4):
+        angle = 2 * np.pi * (np.arange(len(charges)) / len(charges) + rng.uniform())
+        start = 2.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        begin = np.concatenate([start.ravel(), rng.uniform(-0.3, 0.3, size)])
+        moved = solve_ivp(rates, (0, 2), begin, t_eval=times, rtol=1e-9, atol=1e-10).y
+        places = moved[:size].T.reshape(-1, len(charges), 2)
+        places = places + 0.001 * rng.standard_normal(places.shape)
+        # Which body comes first is another one in every scene.
+        order = rng.permutation(len(charges))
+        crew = tuple(Entity("ABC"[k], properties={"mass": masses[k]}) for k in order)
+        scenes.append(Scene(str(number), times, places[:, order], crew))
+    return Dataset("charged", tuple(scenes), noise=(0.001,), units=SI)
+
+
+def test_charges_of_both_bodies_are_proposed_with_their_signs():
+    charges = np.array([1.0, 0.5, -0.7])
+    found = [p for p in proposals(charged(charges, (0.4, 0.6, 0.5))) if "_i * strength" in p.text]
+    assert found and "^-2" in found[0].text and found[0].text.endswith("normalize(p_i - p_j)")
+    (part,) = [p for p in found[0].hypothesis.parts if isinstance(p, Properties)]
+    told = dict(zip(part.names, part.starts, strict=True))
+    told = np.array([told[f"strength1[{name}]"] for name in "ABC"])
+    np.testing.assert_allclose(told * np.sign(told[0]), charges, rtol=0.1)
 
 
 def proposals(data):

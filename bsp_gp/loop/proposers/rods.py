@@ -181,8 +181,11 @@ def _along_a_curve(name, tracks, up):
         swept = float(np.ptp(places[:, along]))
         back = max(_gone_back(own[:, along]) for own in rows if len(own) > 1)
         comes_back, may_dip = back > COMES_BACK * swept, up[-1:] == "xy"[of]
-        found = []  # (spread, level, curve)
+        extent = float(np.ptp(places, axis=0).max())
+        found = []  # (spread beside the numbers of the curve, spread, level, curve)
         for degree in CURVED if comes_back or may_dip else ():
+            if 2 * (degree + 1) > len(places):
+                break
             curve = np.polynomial.Polynomial.fit(places[:, along], places[:, of], degree)
             slope = curve.deriv()
             if np.abs(slope(places[:, along])).max() > STEEP:
@@ -194,12 +197,13 @@ def _along_a_curve(name, tracks, up):
             spread, level = deviation(left)
             lift = slope.deriv()(places[:, along]) * (-1 if up.startswith("-") else 1)
             is_held = comes_back or np.mean(lift > 0) > DIPS
-            is_narrow = spread < NARROW * float(np.ptp(places, axis=0).max())
+            is_narrow = spread < NARROW * extent
             if is_held and is_narrow and _is_constant(spread, level, places):
-                found.append((spread, level, curve))
-        if found:
-            least = min(spread for spread, _, _ in found)
-            return _kept_curve(name, of, *next(one for one in found if one[0] < least / CLOSER))
+                beside = spread / math.sqrt(1 - (degree + 1) / len(places))
+                found.append((beside, spread, level, curve))
+        if found:  # the simplest of those that follow the track about as well as any
+            most = max(min(one[0] for one in found) / CLOSER, EXACT * extent)
+            return _kept_curve(name, of, *next(one for one in found if one[0] <= most)[1:])
     return None
 
 

@@ -4,7 +4,6 @@ Of charges those of both bodies count, so that what they do to each other has on
 """
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -106,20 +105,22 @@ class Sources:
 
 def _columns(view, names, power):
     """Moments of a pull of strength one to each body, beside no other, (n, len(names))."""
-    return _moments(view, names, power, len(names), lambda one, other, mass: (other, 1.0))
+    index = np.broadcast_to(np.arange(len(names)), (len(names), len(names)))
+    return _moments(view, names, power, index)
 
 
-def _moments(view, names, power, n_columns, place):
-    """Moments of pulls of bodies on each other, (n, n_columns).
+def _moments(view, names, power, index, is_force=False):
+    """Moments of pulls of bodies on each other, (n, 1 + the largest number in `index`).
 
     Parameters
     ----------
-    place : callable
-        The column of a pull on one body to another, by their numbers in `names`, and the
-        acceleration by it, by the mass of the one.
+    index : ndarray of int, shape (len(names), len(names))
+        The column of a pull on one body (row) to another, another for each that is pulled to.
+    is_force : bool
+        Whether pulls are of one newton, and not of 1 m/s^2.
     """
-    masses = {e.name: float(e.mass) for s in view.dataset.scenes for e in s.entities}
-    parts = []
+    masses = {(s.name, e.name): e.mass for s in view.dataset.scenes for e in s.entities}
+    n_columns, parts = int(index.max()) + 1, []
     for batch in view.response.regression.batches:
         places = batch.positions  # (n, S, N, d)
         own = batch.bodies.receivers
@@ -130,11 +131,13 @@ def _moments(view, names, power, n_columns, place):
         pulls = np.where(is_other, np.nan_to_num(gaps) * safe ** (power - 1), 0.0)
         values = np.zeros((*pulls.shape[:3], n_columns, pulls.shape[-1]))
         for s, here in enumerate(batch.bodies.names):
-            for r, one in enumerate(np.asarray(here)[own]):
-                for k, other in enumerate(here):
-                    if one != other:
-                        at, size = place(names.index(one), names.index(other), masses[one])
-                        values[:, s, r, at] += size * pulls[:, s, r, k]
+            at = np.array([names.index(name) for name in here])
+            if is_force:
+                own_masses = [masses[batch.scene_names[s], here[r]] for r in own]
+                pulls[:, s] /= np.reshape(own_masses, (-1, 1, 1))
+            for r, one in enumerate(at[own]):
+                others = np.flatnonzero(at != one)
+                values[:, s, r, index[one, at[others]]] = pulls[:, s, r, others]
         moments = batch.whiten(values)  # (m, S, 1, n_columns, 1)
         parts.append(moments[:, :, 0, :, 0].reshape(-1, n_columns))
     return np.concatenate(parts)
@@ -148,15 +151,12 @@ def _charges(view, names, power, alike):
     alike : float, nats
         The evidence of a pull to all others alike.
     """
-    pairs = {}
-    for one, other in combinations(range(len(names)), 2):
-        pairs[one, other] = pairs[other, one] = len(pairs) // 2
-    columns = _moments(
-        view, names, power, len(pairs) // 2, lambda one, other, mass: (pairs[one, other], 1 / mass)
-    )
+    ones, others = np.triu_indices(len(names), 1)
+    pairs = np.zeros((len(names), len(names)), dtype=int)
+    pairs[ones, others] = pairs[others, ones] = np.arange(len(ones))
+    columns = _moments(view, names, power, pairs, is_force=True)
     if not np.isfinite(columns).all() or not np.any(columns, axis=0).all():
         return
-    ones, others = np.array([pair for pair in pairs if pair[0] < pair[1]]).T
     basis, reach = np.linalg.qr(view.beside(columns))
     target = basis.T @ view.left
     pulls = np.linalg.lstsq(reach, target, rcond=1e-10)[0]
