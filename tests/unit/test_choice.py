@@ -8,6 +8,7 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.canonical import canonical_key
 from bsp_gp.language.grammar import load_grammar, read_grammar
+from bsp_gp.loop.proposers import laws as laws_module
 from bsp_gp.loop.proposers.inside import Inside
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import View, selected
@@ -48,6 +49,17 @@ def proposed(data, grammar, search):
     view = View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(1))
     laws = Laws(grammar, data, max_levels=6, search=search, budget=400)
     return laws.propose(view)
+
+
+def test_noise_that_is_searched_anew_is_less_and_ends_in_an_answer(monkeypatch):
+    """Where the level is near a search runs on a few draws of noise, and kin on the same."""
+    monkeypatch.setattr(laws_module, "selected", lambda *args, **more: 0.005)
+    monkeypatch.setattr(laws_module, "MOST_ANEW", 3)
+    data = pushed()
+    hypothesis = Hypothesis.from_laws(data, ["-c * norm(v_i) * v_i"])  # has kin
+    view = View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(1))
+    laws = Laws(load_grammar("physics"), data, max_levels=5, search="genetic", budget=100)
+    assert laws.propose(view).null.shape == (3,)
 
 
 def test_what_a_search_cannot_take_is_said_before_it_begins():

@@ -120,7 +120,7 @@ class Laws:
             for formula in kin_of(view.fit.law, view.dataset.n_dims, self.logged)
             if (c := _scored(view, formula)) is not None
         ]
-        null = np.maximum(null, _null_of(view, kin, draws))
+        null = np.maximum(null, _null_of(view, kin, draws[:, : len(null)]))
         found = [c for c in self._ranked(view, found, kin) if not _is_parallel(view, c, declared)]
         sets = pairs_of(view, found, {*self.common, *(c.formula for c in kin)})
         if self.searching.is_exhaustive:
