@@ -10,10 +10,15 @@ from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.fitting.fit import fit
+from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.loop.criteria import Criteria
+from bsp_gp.loop.loop import _with_one_strength
+from bsp_gp.loop.proposal import Proposal
 from bsp_gp.loop.proposers.by_owner import ByOwner
 from bsp_gp.loop.view import selected
 from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.force import ForceLaw
 from tests.loop_views import throws, view_of
 
 BALLS = "steel", "tennis", "foam"
@@ -158,3 +163,18 @@ def test_two_pendulums_of_a_sensor_are_no_noise_as_large_as_they_swing():
     assert done.adopted
     assert report.total["ratio"].value < 0.1
     assert report.verdict not in ("the noise is not as assumed", "nothing missing")
+
+
+def test_a_strength_for_each_scene_has_one_for_all_beside_it():
+    data = throws(np.random.default_rng(3))
+    base = Hypothesis.from_laws(data, ["-9.81 [m/s^2] * m_i * e_y"])
+    types = dataset_types(data)
+    formulas = {name: parse_formula(f"{name} * v_i", types) for name in ("c1[scene]", "c1")}
+    own = Proposal("law_by_scene", "", base, -6.0, 9.0, 3, formulas=(formulas["c1[scene]"],))
+    table = {"1": 1.0, "2": 1.1, "3": 5.0}
+    found = SimpleNamespace(law=ForceLaw((), {"c1[scene]": table}))
+    shared = _with_one_strength(own, base, found, Criteria())
+    assert shared.code == "law" and shared.formulas == (formulas["c1"],)
+    assert shared.starts == {"c1": 1.1} and shared.rank == 1
+    assert shared.log_prior == own.log_prior + Criteria().cause_nats
+    assert _with_one_strength(shared, base, found, Criteria()) is None
