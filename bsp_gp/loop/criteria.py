@@ -16,7 +16,7 @@ REASONS = (
     "not_placed",
     "swamped", "slight", "at_bound", "much_left", "more_left", "laboratory", "poorly_foreseen",
     "smooth_kicks", "open_powers", "another_power", "odd_power", "season",
-    "alias", "passage",
+    "alias", "passage", "undetermined",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
 "strength_varies": adopted as a description, since its constant is not the same everywhere;
@@ -31,13 +31,14 @@ explain it, as large as the motion; "slight": it takes up less than half of the 
 left; "time_is_up": of what there was time for it is the likeliest, and leaves little;
 "at_bound": a constant inside it ends at its bound; "much_left": a third of the motion and more is
 left beside it; "more_left": surely more than noise is; "laboratory": it acts along axes, or about
-a place, in the sky; "poorly_foreseen": one of several that fit as well, with which predictions are
-notably off, though not surely worse; "smooth_kicks": random kicks so slight that a force which
+a place, in the sky; "poorly_foreseen": predictions are notably off with it, or no better where
+they say little, though not surely worse; "smooth_kicks": random kicks so slight that a force which
 changes smoothly is as likely; "open_powers": several forces of which the data do not tell a power;
 "another_power": one that the data surely tell is another; "odd_power": one that is no multiple of a
 half, beside a steady push; "season": orbits of which one has the period of the Earth's year or day;
 "alias": or one that looks alike to who looks once a day;
-"passage": a velocity that jumps in the sky."""
+"passage": a velocity that jumps in the sky; "undetermined": each of its strengths may be nothing
+(several forces of which the data tell the sum)."""
 LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""
 STOP_REASONS = (

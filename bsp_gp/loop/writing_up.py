@@ -45,7 +45,7 @@ DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
     "likelier_refused", "noise_likelier", "at_bound", "much_left", "more_left", "laboratory",
     "poorly_foreseen", "smooth_kicks", "open_powers", "another_power", "odd_power", "season",
-    "alias", "passage",
+    "alias", "passage", "undetermined",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
@@ -64,6 +64,9 @@ MOST_UNTOLD = 2
 SURELY, NOTABLY = 4.0, 0.1
 """Errors by which a power must be off what a law has for it to be another for sure, and by how
 much at least."""
+BLIND = 2.0
+"""Times the errors of the declared law that those of a final one may be as large as, from which
+predictions that are no better say nothing for it."""
 LEAST_LIKELY = 1e-4
 """Rows less likely are told without their constants."""
 
@@ -142,7 +145,16 @@ def _own_doubt(done, effect, dataset):
         return "open_powers"
     if any(map(_is_another, effect.exponents)):
         return "another_power"
+    if effect.law and _is_undetermined(effect, done.fits[best.id].law):
+        return "undetermined"
     return "odd_power" if best.n_pushes and has_odd_power(done.fits[best.id]) else ""
+
+
+def _is_undetermined(effect, law):
+    """Whether each strength of the forces that a round has added may be nothing."""
+    strengths = {split_linear(term.formula)[0] for term in law.terms}
+    own = [c for c in effect.constants if c.name in strengths]
+    return bool(own) and all(c.low < 0 < c.high for c in own)
 
 
 def _is_another(exponent):
@@ -390,25 +402,29 @@ def _new(found, before):
     return [term.formula for term in found.law.terms if term.formula not in known]
 
 
-def not_foreseen(records, ratio):
-    """Records in which forms that these data do not tell are no causes where they foresee nothing.
+def not_foreseen(records, ratio, is_noise):
+    """Records in which causes that held-out rows do not bear out are no facts.
 
-    Few held-out rows do not refuse a law for sure; one of many that fit as well, with which the
-    error grows notably, is not shown to be the cause all the same.
+    Few held-out rows do not refuse a law for sure. One with which the error grows notably is not
+    shown to be the cause all the same, nor is one with which it does not shrink where it might be
+    several times as large as it is; unless that error is what noise makes of the right law.
 
     Parameters
     ----------
     records : sequence of RoundRecord
     ratio : Ratio
         Of errors on what was held out, under the final law and the declared one.
+    is_noise : bool
+        Whether the error that is left there is no more than noise.
     """
-    if not ratio.value > NOTABLE:
+    is_blind = ratio.value >= 1 and ratio.high > BLIND
+    if not (ratio.value > NOTABLE or is_blind):
         return records
     blind = ("kicks", "noise", "measurement")  # nobody foresees what these do
     return [
         replace(r, verdict="effective law", reason="poorly_foreseen")
         if r.verdict == "effect adopted" and r.effect.kind not in blind
-        and r.effect.equivalents and not r.effect.is_fact else r
+        and not (is_noise and r.effect.is_fact) else r
         for r in records
     ]  # fmt: skip
 

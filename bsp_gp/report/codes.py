@@ -99,8 +99,10 @@ REASONS = {
     "smooth_kicks": "kicks so slight that many rows pass until one shows: a force that changes "
     "smoothly from place to place, or in time, moves the bodies as well",
     "another_power": "a power in it is surely another than is written: the force has another form",
-    "poorly_foreseen": "other forms fit as well, and with this one predictions of what was held "
-    "out are worse, though so few rows do not show it for sure",
+    "poorly_foreseen": "it describes the tracks that it was found in, but predictions of what was "
+    "held out are no better with it, though so few rows do not refuse it for sure",
+    "undetermined": "it describes these tracks, but each of its strengths may be nothing: they are "
+    "several forces of which these data tell the sum",
     "at_bound": "a constant inside it ends at the bound of what it may be: another form is asked "
     "for",
     "few_periods": "no recording is so long that it was seen to come back, and what does not may "

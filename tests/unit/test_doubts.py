@@ -1,5 +1,6 @@
 """Why adopted laws only describe the tracks: a constant at its bound, and much that is left."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from bsp_gp.data.ephemeris import DAY_S
 from bsp_gp.fitting.hypothesis import Parameter
 from bsp_gp.fitting.parts.orbits import Orbit
 from bsp_gp.loop import writing_up
+from bsp_gp.loop.accounts import Ratio
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.writing_up import (
     _own_doubt,
@@ -16,6 +18,7 @@ from bsp_gp.loop.writing_up import (
     doubt_of_orbits,
     doubt_of_rest,
     has_odd_power,
+    not_foreseen,
 )
 from tests.fitted_tracks import law_of
 
@@ -135,7 +138,7 @@ def test_in_the_sky_a_kick_stands_for_a_passage(is_sky, said, monkeypatch):
         decision=SimpleNamespace(best=best), proposals={1: SimpleNamespace()}, fits={}
     )
     monkeypatch.setattr(writing_up, "is_of_the_sky", lambda dataset: is_sky)
-    assert _own_doubt(done, SimpleNamespace(exponents=()), None) == said
+    assert _own_doubt(done, SimpleNamespace(exponents=(), law=""), None) == said
 
 
 def power(term, value, error, stated, is_told=True):
@@ -159,4 +162,52 @@ def test_powers_that_are_others_or_open_in_many_forces_describe(exponents, said)
     done = SimpleNamespace(
         decision=SimpleNamespace(best=best), proposals={1: SimpleNamespace()}, fits={}
     )
-    assert _own_doubt(done, SimpleNamespace(exponents=exponents), None) == said
+    assert _own_doubt(done, SimpleNamespace(exponents=exponents, law=""), None) == said
+
+
+@pytest.mark.parametrize(
+    ("ends", "said"),
+    [
+        ({"c1": (-1.0, 2.0)}, "undetermined"), ({"c1": (0.5, 2.0)}, ""),
+        # What is inside is no strength, and neither is what the bodies had before.
+        ({"c1": (-1.0, 2.0), "h_x1": (0.5, 2.0)}, "undetermined"), ({"m": (-1.0, 1.0)}, ""),
+    ],
+)  # fmt: skip
+def test_strengths_that_may_all_be_nothing_describe(ends, said):
+    """Three pushes whose intervals all held zero were the effect of a pendulum."""
+    best = SimpleNamespace(id=1, code="law", n_pushes=0)
+    done = SimpleNamespace(
+        decision=SimpleNamespace(best=best), proposals={1: SimpleNamespace()},
+        fits={1: SimpleNamespace(law=law_of(PUSH, c1=1.0, h_x1=1.0))},
+    )  # fmt: skip
+    constants = [SimpleNamespace(name=n, low=low, high=high) for n, (low, high) in ends.items()]
+    effect = SimpleNamespace(exponents=(), law="c1", constants=constants)
+    assert _own_doubt(done, effect, None) == said
+
+
+@dataclass(frozen=True)
+class Told:
+    """A record as far as it is judged by what was held out."""
+
+    effect: object
+    verdict: str = "effect adopted"
+    reason: str = "adopted"
+
+
+@pytest.mark.parametrize(
+    ("ratio", "is_noise", "is_fact", "said"),
+    [
+        (Ratio(0.5, 0.2, 3.0), False, True, "adopted"),  # they shrink
+        (Ratio(1.2, 0.1, 3.5), False, True, "poorly_foreseen"),  # nothing says that they do
+        (Ratio(1.01, 0.97, 1.05), False, True, "adopted"),  # it hardly shows there
+        (Ratio(1.4, 0.8, 1.6), False, True, "poorly_foreseen"),
+        (Ratio(1.4, 0.8, 1.6), True, True, "adopted"),  # so large is the noise of one track
+        (Ratio(1.4, 0.8, 1.6), True, False, "poorly_foreseen"),
+        (Ratio(), False, True, "adopted"),  # nothing was held out
+    ],
+)
+def test_what_held_out_rows_do_not_bear_out_is_no_fact(ratio, is_noise, is_fact, said):
+    """The turning points of a pendulum had an effect with a ratio of 1.2 [0.1, 3.5]."""
+    force, mended = (Told(SimpleNamespace(kind=k, is_fact=is_fact)) for k in ("field", "noise"))
+    told, other = not_foreseen([force, mended], ratio, is_noise)
+    assert told.reason == said and other.reason == "adopted"
