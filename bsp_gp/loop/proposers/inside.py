@@ -289,8 +289,8 @@ def _proposal(view, search, scan):
     if drives(formulas[0], starts[names["c"]]):
         odd_nats += view.criteria.cause_nats
     axes = {axis.name.rstrip("0123456789")[-1] for axis in scan.axes if axis.name.startswith(LINES)}
-    places = {axis.name[2]: starts[names[axis.name]] for axis in scan.axes
-              if axis.name.startswith(("h_", "H_"))}  # fmt: skip
+    places = [(axis.name[2], starts[names[axis.name]]) for axis in scan.axes
+              if axis.name.startswith(("h_", "H_"))]  # fmt: skip
     odd_nats += view.criteria.cause_nats * edges_cost(formulas[0], places, view.dataset)
     if is_passed_once(formulas[0], axes, view.dataset):
         odd_nats += 2 * view.criteria.cause_nats

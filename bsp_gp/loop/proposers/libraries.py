@@ -311,7 +311,7 @@ def _proposal(view, library, own, amounts, gain, wave, more=()):
     ranges = tuple(p for p, _ in inner if p.name in named)
     hypothesis = view.hypothesis + RangedForces(ForceLaw(tuple(terms), dict(starts)), None, ranges)
     bounds, formulas = {}, [term.formula for term in terms]
-    places = {p.name[2]: float(at) for p, at in inner if p.name.startswith("h_")}
+    places = [(p.name[2], float(at)) for p, at in inner if p.name.startswith("h_")]
     edges = max(edges_cost(formula, places, view.dataset) for formula in formulas)
     n_causes = len(terms) + len(ranges) + edges  # what fades is no plain drag
     if wave is not None:

@@ -68,13 +68,13 @@ def edges_cost(formula, places, dataset):
     Parameters
     ----------
     formula : Formula
-    places : dict of str to float, m
-        By the axis, ``{"x": 0.4}``.
+    places : sequence of (str, float)
+        Axes and places on them, m: ``[("x", 0.4)]``.
     dataset : Dataset
     """
     words = {getattr(node, "operator", "") for node in walk(formula)}
     cost = 0
-    for axis, at in places.items() if "sign" in words else ():
+    for axis, at in places if "sign" in words else ():
         tracks = [s.positions[:, s.dynamic, "xyz".index(axis)].ravel() for s in dataset.scenes]
         seen = np.concatenate(tracks)
         beyond = np.mean(seen[np.isfinite(seen)] > at)
