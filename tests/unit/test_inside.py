@@ -110,6 +110,30 @@ def test_a_drag_between_the_powers_of_the_grammar_leads():
 
 
 @pytest.mark.slow
+def _to_a_rest_point(size):
+    return lambda p, v, t: np.array([-4.0 * size(p[0] - 1.1), 0.0])
+
+
+@pytest.mark.parametrize(
+    ("push", "name", "truth"),
+    [
+        (_to_a_rest_point(lambda x: np.tanh(x / 0.3)), "spring along x that levels off",
+         {"h_x": 1.1, "D": 0.3}),
+        (_to_a_rest_point(lambda x: x / (1 + abs(x) / 0.3)), "spring along x that levels off",
+         {"h_x": 1.1, "D": 0.3}),
+        (_to_a_rest_point(lambda x: np.exp(-x / 0.7) - np.exp(-2 * x / 0.7)),
+         "force along x as of a bond (Morse)", {"h_x": 1.1, "D": 0.7}),
+        (lambda p, v, t: -2.0 * np.tanh(np.hypot(*v) / 1.5) * v / np.hypot(*v),
+         "friction that sets in over a range of speeds", {"u": 1.5}),
+    ],
+)  # fmt: skip
+def test_what_levels_off_leads_with_the_place_and_the_size_at_which_it_does(push, name, truth):
+    """Springs that level off were four forces, or the cubic and the fifth power of a stretch."""
+    best, found = proposed(pushed(push))
+    assert describe(best.formulas[0]) == name
+    assert is_within(found, **truth)
+
+
 def test_a_pull_to_a_wall_leads_with_its_power():
     scenes, rng, times = [], np.random.default_rng(2), np.linspace(0.0, 2.0, 50)
     for k in range(4):

@@ -259,6 +259,19 @@ CENTRE = "(origin + centre_x1 * e_x + centre_y1 * e_y - p_i)"
          "(h_x1 - dot(p_i - origin, e_x)) + "
          "(1 + sign(dot(p_i - origin, e_x) - H_x1)) * (H_x1 - dot(p_i - origin, e_x))) * e_x",
          "springs along x at both ends (bumpers)"),
+        ("c1 * (tanh((dot(p_i - origin, e_x) - h_x1) / D1) * e_x)",
+         "spring along x that levels off"),
+        ("c1 * (inverse(1 + abs(dot(p_i - origin, e_y) - h_y1) / D1) * "
+         "(dot(p_i - origin, e_y) - h_y1) * e_y)", "spring along y that levels off"),
+        (f"c1 * (m_i * tanh(norm{CENTRE} / D1) * normalize{CENTRE})",
+         "spring to a point that levels off"),
+        ("c1 * (tanh(norm(v_i) / u1) * normalize(v_i))",
+         "friction that sets in over a range of speeds"),
+        ("c1 * (exp(-(norm(v_i) / u1)^2) * normalize(v_i))",
+         "friction at low speed alone (Stribeck)"),
+        ("c1 * ((exp(2 * (h_x1 - dot(p_i - origin, e_x)) / D1) - "
+         "exp((h_x1 - dot(p_i - origin, e_x)) / D1)) * e_x)",
+         "force along x as of a bond (Morse)"),
         ("(a1 * cos(w1 * t) + b1 * sin(w1 * t)) * e_x", "push with a period along x"),
         ("(a1 * cos(w1 * t) + b1 * sin(w1 * t)) * dot(p_i - origin, e_x) * e_x",
          "force along x in proportion to x, with a period (an oscillating trap)"),
