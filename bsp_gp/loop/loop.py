@@ -56,6 +56,8 @@ WITHIN_NOISE = 3.0
 NEARLY_NOTHING, CLEARLY_LESS = 1e-3, 0.7
 """Part of chi-squared that a law leaves which tells of others nearly as one that leaves nothing, in
 place of which another comes that leaves less than so much of it."""
+HALF_AS_MUCH = 0.5
+"""Part of what a memory of the noise promises that forces must, to be fitted in its place."""
 LESS = 0.9
 """Of the reduced chi-squared of a fit, below which another has left less."""
 REACH = 1.5
@@ -504,8 +506,9 @@ class _Turn:
         """Look for what a memory of the noise may have taken for its own, where nothing else shows.
 
         What a force does that comes back from place to place looks like noise with a memory, and
-        under such noise nothing is left of it. Forces that promise more than the memory does are
-        fitted; where none is likelier in the end, nothing was seen.
+        under such noise nothing is left of it. Forces that promise half as much as the memory does
+        and more are fitted, since to first order a large one promises less than it holds; where
+        none is likelier in the end, nothing was seen.
         """
         white = view.in_white()
         if white is None:
@@ -517,7 +520,7 @@ class _Turn:
         self.families = []
         self.propose(number, view, self.run.proposers)
         found = [p.promise for f in self.families for p in f.proposals if p.kind != "noise"]
-        if max(found, default=-math.inf) > less + self.run.criteria.noise_nats:
+        if max(found, default=-math.inf) > HALF_AS_MUCH * less + self.run.criteria.noise_nats:
             by_chance = self.p_of_all(view, self.run.looks)
             self.fit_best()
             if any(row.log_posterior > self.rows[0].log_posterior for row in self.rows[1:]):
