@@ -160,9 +160,14 @@ def verdict_parts(report):
     if report.verdict == "cannot tell":
         if last is not None and last.is_missing:
             text = "Something is missing from the declared model, but these data cannot tell what."
+            if last.noise:  # of which nobody has seen whether it is all that is missing
+                text = ("Something is missing from the declared model, or the noise is not as it "
+                        "was assumed: these data cannot tell which.")  # fmt: skip
         else:
             text = "These data cannot tell whether anything is missing from the declared model."
         reason = _ended(last.reason) if last else ""
+        if last is not None and last.code == "time_is_up" and last.effect is not None:
+            reason += f" Of what was, {last.effect.name} explains most so far."
         return text, reason[:1].upper() + reason[1:]
     return f"Verdict: {report.verdict}.", ""
 

@@ -720,3 +720,21 @@ def test_how_rows_were_taken_is_no_force_that_there_might_be():
     said = verdict_sentence(page_of(report))
     assert "as if there were drag, quadratic in speed. It describes them" in said
     assert "cause is not shown. " in said
+
+
+@pytest.mark.parametrize(
+    ("noise", "effect", "said"),
+    [
+        ((), None, "is missing from the declared model, but these data cannot tell what."),
+        (("it has a memory",), None, "or the noise is not as it was assumed: these data cannot"),
+        ((), SimpleNamespace(name="drag"), "looked at. Of what was, drag explains most so far."),
+    ],
+)  # fmt: skip
+def test_what_is_known_when_the_time_is_up_is_told(noise, effect, said):
+    """A null with a noisy camera ended as "something is missing", an oscillator without a word."""
+    last = SimpleNamespace(
+        adopted=False, undecided=(), is_missing=True, noise=noise, effect=effect,
+        code="time_is_up", reason="the time was up before everything was looked at",
+    )  # fmt: skip
+    report = SimpleNamespace(verdict="cannot tell", rounds=(last,))
+    assert said in verdict_sentence(report)
