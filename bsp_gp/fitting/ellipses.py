@@ -21,7 +21,9 @@ ECCENTRICITIES = (0.02, 0.2, 0.35, 0.5, 0.65, 0.75, 0.82, 0.88, 0.93, 0.96)
 HIGHEST = 0.995
 FEWEST = 6
 """Places by which seven numbers are told, and one is left."""
-NEWTON_STEPS, ROUNDING = 40, 1e-12
+ROUNDING = 1e-12
+START, MOST_STEPS, SMALL = 0.85, 20, 1e-5
+"""Where Kepler's equation is begun (Danby), and steps up to one so small that its cube is none."""
 MOST_LOOKED_AT = 200
 """Places by which starts are chosen, spread evenly."""
 
@@ -160,17 +162,22 @@ def _columns(log_period, eccentricity, phase, times):
 
 
 def eccentric_anomaly(mean, eccentricity):
-    """The eccentric anomaly at mean ones, rad (Kepler's equation, by Newton's steps).
+    """The eccentric anomaly at mean ones, rad (Kepler's equation).
+
+    By Halley's steps, from where J. M. A. Danby begins (Celestial Mechanics 40 (1987) 303).
 
     Parameters
     ----------
     mean, eccentricity : float or ndarray, of shapes that broadcast
     """
     mean = np.mod(mean + math.pi, 2 * math.pi) - math.pi
-    found = np.where(eccentricity > 0.8, np.sign(mean) * math.pi, mean)
-    for _ in range(NEWTON_STEPS):
-        step = (found - eccentricity * np.sin(found) - mean) / (1 - eccentricity * np.cos(found))
+    found = mean + START * eccentricity * np.sign(mean)
+    for _ in range(MOST_STEPS):
+        bend = eccentricity * np.sin(found)
+        slope = 1 - eccentricity * np.cos(found)
+        step = (found - bend - mean) / slope
+        step = step / (1 - 0.5 * step * bend / slope)
         found = found - step
-        if np.nanmax(np.abs(step)) < ROUNDING:
+        if np.nanmax(np.abs(step)) < SMALL:
             break
     return found

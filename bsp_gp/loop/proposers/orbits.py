@@ -39,6 +39,9 @@ SIDEREAL_DAY, N_ALIASED = 86164.09, 6
 N_PEAKS, PEAK_ROWS, N_PHASES = (30, 300), 15_000, 16
 """Fewest and most periods at which ellipses are tried, these times rows, and times of the closest
 approach."""
+BESIDE, NEAR = 1e-6, 1e-5
+"""Part of how far an orbit's numbers go by which slopes are told, and of what is left by which a
+step may do better at the end: fits go on from there."""
 N_BEST, N_DESCENTS = 2, 12
 """Descents that begin at one period, and periods at which they do."""
 ECCENTRICITIES = (0.1, 0.3, 0.5, 0.7, 0.85, 0.93)
@@ -71,7 +74,7 @@ class Orbits:
         trends = tuple(_trends(view, scan))
         if not len(scan.rates):
             return Family(self.name, trends, null=np.zeros(len(view.row_draws)))
-        gains = scan.circles()
+        gains = scan.circles
         rates = scan.peaks(gains[:, 0])
         found = scan.closer(rates[0]), scan.ellipse(scan.with_aliases(rates))
         proposals = (*trends, *(_proposal(view, scan, (orbit,)) for orbit in found))
@@ -100,17 +103,16 @@ class OrbitPairs:
         scan = self._orbits.scan_of(view)
         if not len(scan.rates):
             return Family(self.name, null=np.zeros(len(view.row_draws)))
-        gains = scan.circles()
-        tried = []
-        for k in _peaks(gains[:, 0], N_FIRSTS):
-            more = scan.seconds(scan.rates[k], 0)
-            j = int(np.argmax(more))
-            tried.append((gains[k, 0] + more[j], scan.rates[k], scan.rates[j]))
-        best, *rates = max(tried)
-        null = []
-        for n, draw in enumerate(gains.T[1 : 1 + N_PAIR_DRAWS], 1):
-            k = int(np.argmax(draw))
-            null.append(draw[k] + scan.seconds(scan.rates[k], n).max())
+        gains = scan.circles
+        firsts = _peaks(gains[:, 0], N_FIRSTS)
+        more = scan.seconds(scan.rates[firsts], np.zeros(len(firsts), dtype=int))
+        second = np.argmax(more, axis=0)
+        both = gains[firsts, 0] + more.max(axis=0)
+        k = int(np.argmax(both))
+        best, rates = both[k], (scan.rates[firsts[k]], scan.rates[second[k]])
+        draws = np.arange(1, min(1 + N_PAIR_DRAWS, gains.shape[1]))
+        firsts = np.argmax(gains[:, draws], axis=0)
+        null = gains[firsts, draws] + scan.seconds(scan.rates[firsts], draws).max(axis=0)
         pairs = scan.pairs(*rates)
         oval = scan.ellipse(scan.peaks(gains[:, 0]))
         beside = scan.beside(oval)
@@ -185,6 +187,7 @@ class _Scan:
         rows = self.projected(columns.reshape(-1, *columns.shape[2:]))
         return _gains(_grams(rows), rows @ self.targets[:1].T)[:, 0]
 
+    @cached_property
     def circles(self):
         """Chi-squared that circles of every period gain, (F, 1 + B)."""
         return np.concatenate([
@@ -200,16 +203,27 @@ class _Scan:
             found.append(_gains(own - _grams(inside), rows @ target)[:, 0])
         return np.concatenate(found)
 
-    def seconds(self, rate, which):
-        """Chi-squared that circles of every period gain of a target beside one of a rate, (F,)."""
-        target = self.targets[which]
-        first = self.projected(self._columns(rate, 0.0, 0.0))
-        basis = orthonormal(first.T, len(target)).T
+    def seconds(self, rates, which):
+        """Chi-squared that circles of every period gain beside one of each rate, (F, k).
+
+        Parameters
+        ----------
+        rates : ndarray, shape (k,)
+        which : ndarray of int, shape (k,)
+            The target of each.
+        """
+        n = self.targets.shape[1]
+        firsts = [self.projected(self._columns(rate, 0.0, 0.0)) for rate in rates]
+        bases = np.stack([orthonormal(first.T, n).T for first in firsts])  # (k, 2, n)
+        targets = self.targets[which]
+        taken = np.einsum("kbn,kn->kb", bases, targets)
+        looks = np.concatenate([bases.reshape(-1, n), targets]).T
         found = []
         for rows, grams in zip(self.blocks, self.grams, strict=True):
-            inside = rows @ basis.T  # (2 f, 2)
-            dots = rows @ target - inside @ (basis @ target)
-            found.append(_gains(grams - _grams(inside), dots[:, None])[:, 0])
+            inside, dots = np.split(rows @ looks, [2 * len(rates)], axis=1)
+            inside = inside.reshape(len(rows), len(rates), 2)
+            dots = dots - np.einsum("fkb,kb->fk", inside, taken)
+            found.append(_gains(grams[..., None] - _grams(inside), dots))
         return np.concatenate(found)
 
     @cached_property
@@ -303,9 +317,20 @@ class _Scan:
             for first in range(0, len(grid), BLOCK)
         ])  # fmt: skip
         step = 2 * math.pi / self.span
+        scales = np.array([step / OVERSAMPLING, 0.1, 0.3])
 
         def left(numbers):
             return self._left(self._columns(*numbers))[0]
+
+        def slopes(numbers):  # those of what amounts that follow leave, to first order (Kaufman)
+            moved = np.concatenate([[numbers], numbers + np.diag(BESIDE * scales)])
+            columns = np.moveaxis(self._columns(*moved.T[:, :, None, None]), 0, 1)
+            rows = self.projected(columns.reshape(-1, *columns.shape[2:]))
+            rows = rows.reshape(len(moved), 2, -1)
+            amounts = np.linalg.lstsq(rows[0].T, self.targets[0], rcond=1e-10)[0]
+            changes = (amounts @ (rows[1:] - rows[0])) / (BESIDE * scales)[:, None]
+            basis = orthonormal(rows[0].T, rows.shape[-1])
+            return -(changes.T - basis @ (basis.T @ changes.T))
 
         best, tried = None, []
         for k in np.argsort(-gained):
@@ -316,7 +341,7 @@ class _Scan:
             if len(tried) > N_BEST * N_DESCENTS:
                 break
             found = least_squares(
-                left, grid[k], x_scale=(step / OVERSAMPLING, 0.1, 0.3),
+                left, grid[k], jac=slopes, x_scale=scales, ftol=NEAR, xtol=NEAR,
                 bounds=((max(rate - step, low / 4), 0.0, phase - 4.0),
                         (rate + step, HIGHEST, phase + 4.0)),
             )  # fmt: skip
@@ -367,15 +392,19 @@ def _shortest(times):
 
 
 def _grams(rows):
-    """Products of pairs of rows (2 f, n), one behind the other, with themselves, (3, f)."""
+    """Products of pairs of rows (2 f, ..., n), each with the next and themselves, (3, f, ...)."""
     one, other = rows[::2], rows[1::2]
     pairs = (one, one), (one, other), (other, other)
-    return np.stack([np.einsum("fn,fn->f", x, y) for x, y in pairs])
+    return np.stack([np.einsum("f...n,f...n->f...", x, y) for x, y in pairs])
 
 
 def _gains(grams, dots):
-    """Chi-squared that pairs gain, (f, B), from products with themselves and with targets."""
-    (a, b, c), u, v = grams[:, :, None], dots[::2], dots[1::2]
+    """Chi-squared that pairs gain, (f, B), from products with themselves and with targets.
+
+    The former are one for all targets, (3, f), or one for each, (3, f, B).
+    """
+    a, b, c = grams if grams.ndim == 3 else grams[:, :, None]
+    u, v = dots[::2], dots[1::2]
     area = a * c - b * b
     is_pair = area > 1e-9 * a * c
     both = (c * u * u - 2 * b * u * v + a * v * v) / np.where(is_pair, area, 1.0)
