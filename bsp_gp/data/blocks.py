@@ -1,8 +1,9 @@
-"""Long tracks of dense rows, averaged over blocks so short that the motion bends little in them.
+"""Long tracks of dense rows, averaged over blocks so short that the motion is a parabola in them.
 
-The means of a block's rows tell as much of a smooth motion as the rows do: nothing is thinned out.
-What they cannot tell, events and noise within a block, is looked for first, and where there is any
-the rows are left as they are.
+The means of a block's rows, less what the bend of the track adds to them, tell as much of a smooth
+motion as the rows do: nothing is thinned out. What they cannot tell, events and noise within a
+block, is looked for first, and where there is any the rows are left as they are. Places that are
+sums of velocities are taken at the ends of blocks: what is gone in between is that of all rows.
 """
 
 from dataclasses import replace
@@ -13,11 +14,20 @@ from bsp_gp.data.noise import estimate_noise
 from bsp_gp.data.point_errors import gross_errors
 from bsp_gp.data.scene import Evaluation
 
-MOST_ROWS = 5000
+MOST_ROWS = 1200
 """Rows of a scene that are handled as they are; blocks make so many of more."""
-BENT, COARSER = 0.02, 4
-"""What the bend of a track moves the mean of a block by, in its standard error, at the most; the
-bend is told by blocks so many times as long, where noise hides it less."""
+BENT, APART = 0.02, 4
+"""What is left of the bend of a track may move the mean of a block by so many of its standard
+errors; the bend is told by blocks so many blocks apart, where noise hides it less."""
+OFF_CURVE = APART**2 / 288
+"""Of the fourth derivative of a track, what its bend as it is told so is off by in a mean: in the
+fourth power of the length of a block."""
+KINKED = 6.0
+"""Standard deviations by which a mean may be off its neighbours' curve: more is a kick."""
+LEAST_BENT = 6
+"""Rows of a block from which it is told whether they lie on a parabola, and not on a line."""
+NO_MORE = 1e-3
+"""Part of how much measured velocities vary up to which it does not matter what is lost of them."""
 SCATTER = 1.1
 """Variance within blocks, in that of the noise from row to row, up to which there is no more."""
 UNEVEN = 3.0
@@ -29,11 +39,13 @@ COARSE = 1.5
 def in_blocks(dataset, most_rows=MOST_ROWS):
     """The data set with its long, dense tracks averaged, and a note of it; itself without such.
 
-    Nothing is done where rows are counted (`Evaluation`), noise is exact, adds up or has a declared
-    memory, bodies may touch, or rows come at uneven times. Gross errors are in no mean, which is
-    told. About `most_rows` are left of a longer scene.
+    Nothing is done where rows are counted (`Evaluation`), noise is exact or has a declared memory,
+    accelerations were measured, bodies may touch, or rows come at uneven times. Gross errors are in
+    no mean, which is told. About `most_rows` are left of a longer scene.
     """
     is_plain = dataset.evaluation == Evaluation() and not dataset.noise_memory
+    if dataset.n_sums == 1 and is_plain:
+        return _in_steps(dataset, most_rows)
     is_plain &= not dataset.is_summed
     if not is_plain or all(len(scene.times) <= most_rows for scene in dataset.scenes):
         return dataset
@@ -47,7 +59,7 @@ def in_blocks(dataset, most_rows=MOST_ROWS):
             far = f"; points far off their neighbours are in none: {n_far}" if n_far else ""
             notes.append(
                 f"{scene.name}: {n:,} dense rows were averaged over {left:,} blocks of {span:.3g} "
-                "s, within which the tracks are straight up to noise; errors are those of the "
+                "s, within which the tracks are parabolas up to noise; errors are those of the "
                 f"means{far}"
             )
         scenes.append(made)
@@ -73,34 +85,121 @@ def _averaged(scene, sigma, declared, most_rows):
         positions[gross_errors(scene.times, scene.positions[:, k], sigma) > 1, k] = np.nan
     n_far = int(np.isnan(positions).sum() - np.isnan(scene.positions).sum()) // scene.n_dims
     tracks, length = positions[:, moving][..., axes], -(-n // most_rows)
-    while length > 1 and not _is_straight(tracks, sigma[axes], length):
+    while length > 1 and not _is_smooth(tracks, sigma[axes], length):
         length //= 2
     if length < 2:
         return scene, 0
-    return _means(scene, positions, n // length, declared), n_far
+    made = _means(scene, positions, n // length, declared)
+    bend = np.zeros_like(made.positions)
+    for k in moving:
+        bend[:, k] = _bend(made.positions[:, k])
+    return replace(made, positions=made.positions - bend / 24), n_far
 
 
-def _is_straight(tracks, sigma, length):
-    """Whether tracks (n, R, a) are straight within blocks, but for noise of a size (a,)."""
+def _is_smooth(tracks, sigma, length):
+    """Whether tracks (n, R, a) are parabolas within blocks, but for noise of a size (a,)."""
     count = len(tracks) // length
     blocks = tracks[: count * length].reshape(count, length, *tracks.shape[1:])
-    blocks = blocks[np.isfinite(blocks).all(axis=(1, 2, 3))]
-    if 2 * len(blocks) < count:
+    means, error = blocks.mean(axis=1), sigma / np.sqrt(length)
+    known = np.isfinite(means)
+    if 2 * known.all(axis=(1, 2)).sum() < count or count <= 4 * APART:
         return False
-    means = blocks.mean(axis=1)
-    error = sigma / np.sqrt(length)
-    joined = means[: len(means) // COARSER * COARSER]
-    joined = joined.reshape(-1, COARSER, *means.shape[1:]).mean(axis=1)
-    bend = np.square(np.diff(joined, 2, axis=0)).mean(axis=0) - 6 * np.square(error) / COARSER
-    if np.any(np.sqrt(np.maximum(bend, 0.0)) / (24 * COARSER**2) > BENT * error):
+    means = np.where(known, means, np.nan)
+    off = _differences(means, 4) / APART**4
+    beyond = np.nanmean(np.square(off), axis=0) - 70 * np.square(error) / APART**8
+    if np.any(OFF_CURVE * np.sqrt(np.maximum(beyond, 0.0)) > BENT * error):
         return False
+    at_once = np.diff(means, 2, axis=0)[APART - 1 : 1 - APART] - _differences(means, 2) / APART**2
+    if np.nanmax(np.abs(at_once) / error) > KINKED * np.sqrt(6.0):
+        return False
+    blocks = blocks[known.all(axis=(1, 2))]
+    return length < 4 or bool(np.all(_scatter(blocks) < SCATTER * np.square(sigma)))
+
+
+def _differences(means, order):
+    """Differences of an order of means (n, ...) so many blocks apart."""
+    for _ in range(order):
+        means = means[APART:] - means[:-APART]
+    return means
+
+
+def _bend(means):
+    """Second derivatives of tracks (n, a) in blocks squared; beyond both ends on a line."""
+    inner = _differences(means, 2) / APART**2
+    seen = np.arange(APART, len(means) - APART)
+    out = np.empty_like(means)
+    for axis in range(means.shape[1]):
+        known = np.isfinite(inner[:, axis])
+        if not known.any():
+            out[:, axis] = 0.0
+            continue
+        at, bend = seen[known], inner[known, axis]
+        out[:, axis] = np.interp(np.arange(len(means)), at, bend)
+        if len(at) > APART:
+            for end, near in ((slice(0, at[0]), 0), (slice(at[-1] + 1, None), -1)):
+                far = APART if near == 0 else -1 - APART
+                slope = (bend[far] - bend[near]) / (at[far] - at[near])
+                out[end, axis] += slope * (np.arange(len(means))[end] - at[near])
+    return out
+
+
+def _scatter(blocks):
+    """Variances (a,) of blocks (n, length, R, a) beside a parabola each, or a line where short."""
+    length = blocks.shape[1]
+    order = 2 if length >= LEAST_BENT else 1
+    basis, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, length), order + 1))
+    left = blocks - np.einsum("lo,mo,nm...->nl...", basis, basis, blocks)
+    n_tracks = blocks.shape[2]
+    dof = len(blocks) * n_tracks * (length - order - 1)
+    return np.square(left).sum(axis=(0, 1, 2)) / dof
+
+
+def _in_steps(dataset, most_rows):
+    """Sums of velocities at the ends of longer steps, in which these are parabolas up to noise.
+
+    One length for all scenes, since errors of a step are declared for all.
+    """
+    longest = max(len(scene.times) for scene in dataset.scenes)
+    length = -(-longest // most_rows)
+    while length > 1 and not all(_has_smooth_velocities(s, length) for s in dataset.scenes):
+        length //= 2
+    if length < 2:
+        return dataset
+    scenes = tuple(_at_ends(scene, length) for scene in dataset.scenes)
+    noise = dataset.noise and tuple(length**0.5 * level for level in dataset.noise)
+    told = f"places are taken at every {length} rows' end: what is gone between them is of all rows"
+    return replace(dataset, scenes=scenes, noise=noise, notes=(*dataset.notes, told))
+
+
+def _has_smooth_velocities(scene, length):
+    """Whether velocities are parabolas within blocks, but for noise or a thousandth of them."""
+    steps = np.diff(scene.times)
+    tracks = scene.positions[:, list(scene.dynamic)]
+    if not np.isfinite(tracks).all() or steps.max() > UNEVEN * np.median(steps):
+        return False
+    velocities = np.diff(tracks, axis=0) / steps[:, None, None]
+    count = len(velocities) // length
+    if count <= 4 * APART:
+        return False
+    blocks = velocities[: count * length].reshape(count, length, *velocities.shape[1:])
     if length < 4:
-        return True
-    place = np.arange(length) - (length - 1) / 2
-    slope = np.tensordot(place, blocks, (0, 1)) / (place @ place)
-    left = blocks - means[:, None] - place[:, None, None] * slope[:, None]
-    scatter = np.square(left).sum(axis=(0, 1)) / (len(blocks) * (length - 2))
-    return bool(np.all(scatter < SCATTER * np.square(sigma)))
+        blocks = blocks[: count // 2 * 2].reshape(count // 2, 2 * length, *velocities.shape[1:])
+    rough = np.diff(velocities, 4, axis=0).reshape(-1, velocities.shape[-1])
+    noise = (1.4826 * np.median(np.abs(rough), axis=0)) ** 2 / 70
+    lost = np.square(NO_MORE) * velocities.var(axis=(0, 1))
+    return bool(np.all(_scatter(blocks) <= SCATTER * noise + lost))
+
+
+def _at_ends(scene, length):
+    """Every so many of the rows of a scene, with the errors of as many steps together."""
+    def thinned(values, power=0.0):
+        return None if values is None else values[::length] * length**power
+
+    return replace(
+        scene, times=scene.times[::length], positions=scene.positions[::length],
+        sigma=thinned(scene.sigma, 0.5), velocities=thinned(scene.velocities),
+        inputs={name: thinned(values) for name, values in scene.inputs.items()},
+    )  # fmt: skip
 
 
 def _means(scene, positions, count, declared):
