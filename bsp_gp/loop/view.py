@@ -391,8 +391,10 @@ class View:
 
     def fitted_to(self, columns):
         """Amounts of columns (n, c) that explain most together, the columns' sizes, the gain."""
-        size = np.linalg.norm(columns, axis=0)
-        size = np.where(size > 0, size, 1.0)
+        top = np.abs(columns).max(axis=0, initial=0.0)  # squares may be beyond all numbers
+        top = np.where(top > 0, top, 1.0)
+        size = np.linalg.norm(columns / top, axis=0)
+        size = top * np.where(size > 0, size, 1.0)
         amounts = np.linalg.lstsq(columns / size, self.left, rcond=1e-10)[0] / size
         gain = self.left @ self.left - np.square(self.left - columns @ amounts).sum()
         return amounts, size, float(gain)
