@@ -92,6 +92,8 @@ MOST_LIMITS = 3
 """Simpler forms that are fitted in the place of one whose numbers end at their bounds."""
 MOST_FIRSTS, MOST_SECONDS = 3, 2
 """Laws beside which a second is asked for, where each leaves much, and seconds that are fitted."""
+MOST_USUAL = 2
+"""Laws of textbooks, alone or two, that are fitted before another cause is told."""
 MOST_TOLD = 10
 """Variables with which what is missing changes."""
 WEIGHTY = 0.8
@@ -637,6 +639,7 @@ class _Turn:
         fits.end()
         self.share_noise()
         self._fit_weight(every)
+        self._fit_usual(every)
         self._fit_limits()
         self._fit_shared()
         self._prune()
@@ -698,6 +701,30 @@ class _Turn:
         if is_new and not self.base.law.terms and not self.note_time("fits"):
             self.run.says(f"fit of a weight: {best.text}")
             self._followed(source, best, _fit_of(self._shared, (source, best)))
+
+    def _fit_usual(self, every):
+        """Fit the likeliest laws of textbooks, alone or two, where none is the likeliest cause.
+
+        A camera that zooms, or a wind straight up, leaves as little as weight and drag do: no such
+        thing is told before these were tried.
+        """
+        row = self._likeliest
+        usual = {split_linear(formula)[1] for formula in self.run.usual}
+
+        def is_usual(proposal):
+            rest = [split_linear(formula)[1] for formula in proposal.formulas]
+            return 0 < len(rest) <= 2 and usual.issuperset(rest)
+
+        if row is None or is_usual(self.proposals[row.id]):
+            return
+        least = self.proposals[row.id].promise - 2 * self.run.criteria.class_nats
+        known = {other.key for other in self.rows if other.is_fit}
+        near = [(source, p) for source, p in every if p.promise > least and is_usual(p)]
+        for source, proposal in near[:MOST_USUAL]:
+            if proposal.key in known or self.note_time("fits"):
+                continue
+            self.run.says(f"fit of usual laws: {proposal.text}")
+            self._followed(source, proposal, _fit_of(self._shared, (source, proposal)))
 
     def fit_held(self, queue):
         """Fit rods and rails, beside a drag what slows down too much; whether one leaves little.

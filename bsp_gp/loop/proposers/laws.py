@@ -121,8 +121,16 @@ class Laws:
             if (c := _scored(view, formula)) is not None
         ]
         null = np.maximum(null, _null_of(view, kin, draws[:, : len(null)]))
-        found = [c for c in self._ranked(view, found, kin) if not _is_parallel(view, c, declared)]
-        sets = pairs_of(view, found, {*self.common, *(c.formula for c in kin)})
+        ranked = self._ranked(view, found, kin)
+        freeing = {id(c) for c in ranked if _is_parallel(view, c, declared)}
+        found = [c for c in ranked if id(c) not in freeing]
+        usual = {*self.common, *(c.formula for c in kin)}
+        # Beside another law a term's number may be another too: a balloon has drag and buoyancy.
+        dearer = [
+            replace(c, complexity=c.complexity + view.criteria.cause_nats)
+            for c in ranked if id(c) in freeing and c.formula in self.common
+        ]  # fmt: skip
+        sets = pairs_of(view, [*found, *dearer], usual)
         if self.searching.is_exhaustive:
             sets = [*sets, *sets_of(view, self, found, declared)]
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
