@@ -26,7 +26,7 @@ KINKED = 6.0
 """Standard deviations by which a mean may be off its neighbours' curve: more is a kick."""
 LEAST_BENT = 6
 """Rows of a block from which it is told whether they lie on a parabola, and not on a line."""
-NO_MORE = 1e-3
+NO_MORE = 5e-3
 """Part of how much measured velocities vary up to which it does not matter what is lost of them."""
 SCATTER = 1.1
 """Variance within blocks, in that of the noise from row to row, up to which there is no more."""
@@ -172,7 +172,7 @@ def _in_steps(dataset, most_rows):
 
 
 def _has_smooth_velocities(scene, length):
-    """Whether velocities are parabolas within blocks, but for noise or a thousandth of them."""
+    """Whether velocities are parabolas within blocks, but for noise or what does not matter."""
     steps = np.diff(scene.times)
     tracks = scene.positions[:, list(scene.dynamic)]
     if not np.isfinite(tracks).all() or steps.max() > UNEVEN * np.median(steps):

@@ -27,7 +27,7 @@ BEYOND, SHARE = 3.0, 0.05
 
 def in_stretches(dataset):
     """The data set with recordings of very many turns cut into stretches, and a note of it."""
-    if not may_be_cut(dataset):
+    if not may_be_cut(dataset, most_sums=1):
         return dataset
     sigma = np.array(estimate_noise(dataset).sigma)
     edges, told = {}, []
@@ -48,13 +48,14 @@ def in_stretches(dataset):
     return cut_at(dataset, edges, note)
 
 
-def may_be_cut(dataset):
+def may_be_cut(dataset, most_sums=0):
     """Whether recordings may be followed in parts.
 
-    Not where rows are counted (`Evaluation`), where places are sums, in the sky, where small forces
-    add up over many turns, or where properties are unknown.
+    Not where rows are counted (`Evaluation`), where what was measured was added up more than so
+    many times, in the sky, where small forces add up over many turns, or where properties are
+    unknown.
     """
-    is_plain = dataset.evaluation == Evaluation() and not dataset.is_summed
+    is_plain = dataset.evaluation == Evaluation() and dataset.n_sums <= most_sums
     return is_plain and not dataset.latents and not is_of_the_sky(dataset)
 
 
