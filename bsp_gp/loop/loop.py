@@ -525,7 +525,8 @@ class _Turn:
         if max(found, default=-math.inf) > HALF_AS_MUCH * less + self.run.criteria.noise_nats:
             by_chance = self.p_of_all(view, self.run.looks)
             self.fit_best()
-            if any(row.log_posterior > self.rows[0].log_posterior for row in self.rows[1:]):
+            least = self.rows[0].log_posterior + self.run.criteria.noise_nats
+            if any(row.kind != "noise" and row.log_posterior > least for row in self.rows[1:]):
                 self.p_value = by_chance
                 return
         self.families, self.near, self.missing, self.levels, self.chances = before

@@ -56,8 +56,10 @@ def noise_size(found, dataset):
 
 
 def size_left(found):
-    """Root mean square of what a fit leaves, m; of sums, of what is left of each, in its error."""
-    left = found.whitened if found.noise.adding else found.residual
+    """Root mean square of what a fit leaves, m; of sums, of what is left of each that is added."""
+    left = found.residual
+    if found.noise.adding:  # whose errors are estimated, of each fit its own
+        left = found.whitened * np.sqrt(found.noise.parts(found.channels)[0])
     return float(np.sqrt(np.nanmean(np.square(left))))
 
 
