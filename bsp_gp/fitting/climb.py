@@ -89,8 +89,6 @@ class Climb:
     ----------
     run : _Run
         The law, its parameters and bounds, the chains, what was given to start from.
-    noises : sequence of ChainNoise
-    paper_steps : bool
     """
 
     def __init__(self, run, noises, scales, paper_steps):
@@ -648,7 +646,7 @@ class Climb:
         return leading_rates(self.run.groups, self.noises)
 
     def stepped(self, constants, nodes=None):
-        """Where steps of the linearisation lead, the first constants held where they are.
+        """Where steps of the linearisation lead, first constants held; None if to nothing finite.
 
         Parameters
         ----------
@@ -656,11 +654,6 @@ class Climb:
             Of the first parameters; the others begin at zero, and are led to the data.
         nodes : sequence of ndarray, optional
             Near the data; read off these where there are none that fit.
-
-        Returns
-        -------
-        Minimum or None
-            None where a step leads to nothing finite.
         """
         if nodes is None or not self._can_begin_at(nodes):
             nodes = self._read_off()
@@ -690,17 +683,14 @@ class Climb:
     def probe_columns(self, minimum, motions, n_most):
         """Changes of the tracks by terms of strength zero, as columns local to every chain.
 
+        They are of shape (n_most + q, T, S, R, d) for every group.
+
         Parameters
         ----------
         motions : sequence of Motion
             Of the run's law with the terms behind it.
         n_most : int
             Columns of the initial state, which come first.
-
-        Returns
-        -------
-        list of ndarray, shape (n_most + q, T, S, R, d)
-            Per group.
         """
         constants, _ = self.coordinates.constants(minimum.values)
         n_more = len(motions[0].parameters) - len(constants)

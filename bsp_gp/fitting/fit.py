@@ -211,7 +211,6 @@ def fit(
     path : object, optional
         Whose ``nodes(times)`` says where the bodies are and how they move, shape (2, R, d, T, S):
         the same, instead of the tracks of a fit.
-    most_starts : int
 
     Raises
     ------

@@ -28,8 +28,6 @@ def followed(hypothesis, dataset, *, deadline=None, **settings):
 
     Parameters
     ----------
-    hypothesis : Hypothesis
-    dataset : Dataset
     deadline : float, optional
         Seconds for all together.
     **settings

@@ -66,12 +66,7 @@ class FreeForce:
         return np.maximum(values, 0.0), vectors
 
     def seen(self, left):
-        """What a force of one shows in each of the moments that tell it best, and those of `left`.
-
-        Returns
-        -------
-        values, turned : ndarray, shape (W, m)
-        """
+        """What a force of one shows in moments that tell it best, and those of `left`, (W, m)."""
         values, vectors = self.shown
         return values, (np.swapaxes(vectors, 1, 2) @ left[..., None])[..., 0]
 

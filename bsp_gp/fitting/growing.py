@@ -49,9 +49,6 @@ def seeds(chains, noise, rows, rank=0):
 
     Parameters
     ----------
-    chains : Chains
-    noise : ChainNoise
-    rows : int
     rank : int
         0 for the best piece, 1 for the best that shares no row with it, and so on.
 
@@ -144,18 +141,14 @@ def _calmest(climb, group, rank):
 def grow(climb, point, rank=0):
     """Fit ever more rows of the calmest chains, then of the others, from seeds to the whole.
 
+    Nodes behind a place where the track was lost are as they were.
+
     Parameters
     ----------
-    climb : Climb
     point : TrackPoint
         Constants to begin with, and nodes read off the data.
     rank : int
         Which seeds, see `seeds`.
-
-    Returns
-    -------
-    TrackPoint
-        With nodes at all rows; those behind a place where the track was lost as they were.
     """
     run = climb.run
     nodes = [own.copy() for own in point.nodes]

@@ -82,18 +82,14 @@ def known_in(found, dataset, scenes, *, deadline=None):
 def held_out_errors(found, dataset, scenes, *, deadline=None):
     """Errors of a fit on scenes that it has not seen.
 
+    They are nan where nothing is held out, or the fit has no finite constants.
+
     Parameters
     ----------
-    found : Fit
     dataset : Dataset
         For its axes, units and rows of evaluation.
     deadline : float, optional
         Seconds.
-
-    Returns
-    -------
-    Errors
-        nan where nothing is held out, or the fit has no finite constants.
     """
     return errors_of(held_out_rows(found, dataset, scenes, deadline=deadline), dataset.units)
 
@@ -117,16 +113,14 @@ def errors_of(rows, units):
 def predictions(found, dataset, scenes, *, deadline=None):
     """Positions that a fitted law foresees, from states fitted on the first rows.
 
+    One array (T, R, d) per scene: inf where the motion runs away, nan for bodies that the first
+    rows do not show.
+
     Parameters
     ----------
     found : Fit
     deadline : float, optional
         Seconds.
-
-    Returns
-    -------
-    list of ndarray, shape (T, R, d), one per scene
-        inf where the motion runs away, nan for bodies that the first rows do not show.
     """
     scenes = shown(found, scenes)
     if dataset.is_of_sight:
@@ -238,18 +232,14 @@ def _states_of(head):
 def initial_states(dataset, law, *, paper_steps=False):
     """States at the first row of every scene, fitted on the first rows under a law as it is.
 
+    Places and velocities of the moving bodies, (2, R, d), by the name of the scene.
+
     Parameters
     ----------
     dataset : Dataset
         Where velocities were measured, the first row is the state.
     law : ForceLaw
         Its constants have values.
-    paper_steps : bool
-
-    Returns
-    -------
-    dict of str to ndarray, shape (2, R, d)
-        Places and velocities of the moving bodies by the name of the scene.
     """
     scenes = dataset.scenes
     if _is_measured(dataset, scenes):
@@ -266,10 +256,7 @@ def initial_states(dataset, law, *, paper_steps=False):
 def with_states(found, dataset, scenes, *, deadline=None):
     """The law of a fit as it is, with the initial states of other scenes fitted.
 
-    Returns
-    -------
-    Fit
-        Of no constants but those that belong to these scenes alone.
+    It has no constants but those that belong to these scenes alone.
     """
     scenes = replace(dataset, scenes=tuple(shown(found, scenes)), train=(), test=())
     return states_alone(found.law, found.paper_steps, found.noise, scenes, deadline)
@@ -282,10 +269,6 @@ def states_alone(law, paper_steps, noise, dataset, deadline=None):
     ----------
     law : ForceLaw
         With values.
-    paper_steps : bool or None
-    noise : NoiseModel
-    dataset : Dataset
-    deadline : float, optional
     """
     noise = replace(noise, sources=("declared",) * len(noise.levels))
     own = _own(law, dataset.scenes)
@@ -325,7 +308,6 @@ def held_out_rows(found, dataset, scenes, *, scatter=None, deadline=None):
 
     Parameters
     ----------
-    found : Fit
     scatter : tuple of float, metres, optional
         What `scatter_of` tells of the scenes, or of those that these are copies of.
     deadline : float, optional

@@ -208,7 +208,6 @@ class Hypothesis:
         laws : ForceLaw or sequence of str
             Constants of a ForceLaw are where a fit begins; texts are one force each, as for
             ``--law``.
-        noise : NoiseModel, optional
         paper_steps : bool, optional
             See `Forces`.
 
@@ -308,17 +307,14 @@ class Hypothesis:
 def read_law(dataset, texts: Sequence[str]):
     """Read typed laws; LawError names the text that is wrong.
 
+    Terms are declared; constants are nan until they are fitted.
+
     Parameters
     ----------
     texts : str or sequence of str
         One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``, or a constraint, an equation such as
         ``"norm(p_i - (0, 1.2)) = L"``, or a string, ``"norm(p_i - (0, 1.2)) <= L"``. Named
         constants are fitted. ``"nothing"`` is no force: uniform motion.
-
-    Returns
-    -------
-    ForceLaw
-        Its terms are declared; constants are nan until they are fitted.
     """
     # Parts themselves:
     from bsp_gp.fitting.parts.constraints import is_string, read_constraint, read_string
@@ -409,17 +405,7 @@ def read_torque(text, types, units):
 
 
 def declared_law(dataset, texts: Sequence[str]):
-    """The same with constants at 1 until they are fitted.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    texts : sequence of str
-
-    Returns
-    -------
-    ForceLaw
-    """
+    """Read typed laws, see `read_law`, with constants at 1 until they are fitted."""
     law = read_law(dataset, texts)
     return law.with_constants({
         name: dict.fromkeys(value, 1.0) if hasattr(value, "items") else 1.0

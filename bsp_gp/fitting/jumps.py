@@ -58,7 +58,7 @@ class Jump:
 
 
 def jumps(times, places, levels=None):
-    """Instants at which the velocity of a track jumps, the rows on both sides being smooth.
+    """Jumps of the velocity of a track in the order of time, the rows on both sides being smooth.
 
     Parameters
     ----------
@@ -67,11 +67,6 @@ def jumps(times, places, levels=None):
         nan where not seen.
     levels : mapping of (int, int) to float, optional
         Where walls are known to stand, by axis and side: jumps there need not be as clear.
-
-    Returns
-    -------
-    list of Jump
-        In the order of time.
     """
     seen = np.isfinite(places).all(axis=1)
     times, places = times[seen], places[seen]
@@ -215,16 +210,12 @@ def solved_alike(t, x, solve):
 def between(times, places, found):
     """Places, velocities and accelerations of a track, from parabolas that pass over no jump.
 
+    Each is (T, d), nan where too few rows were seen between two jumps.
+
     Parameters
     ----------
     times : ndarray, shape (T,)
     places : ndarray, shape (T, d)
-    found : list of Jump
-
-    Returns
-    -------
-    tuple of ndarray, shape (T, d)
-        nan where too few rows were seen between two jumps.
     """
     out = np.full((3, *places.shape), np.nan)
     ends = [jump.time for jump in found]

@@ -58,7 +58,6 @@ class LawFit:
 
     Attributes
     ----------
-    dataset : str
     law : ForceLaw
         With the fitted constants.
     law_text : str
@@ -90,7 +89,6 @@ class LawFit:
         Starts, and those that led to this minimum.
     gradient : float
         Largest cosine between the residual and the change by a constant, 0 at a minimum.
-    split : str
     notes : tuple of str
         Those that begin with "check: " cast a doubt on the result.
     """
@@ -169,7 +167,6 @@ def fit_law(
 
     Parameters
     ----------
-    dataset : Dataset
     laws : ForceLaw, str or sequence of str
         The forces; named constants are fitted, whatever values a ForceLaw has for them.
     rng : numpy.random.Generator, int or None
@@ -183,10 +180,6 @@ def fit_law(
         Between which constants stay, in the same units.
     time_limit : float, optional
         Seconds after which the fit is ended and what was found is told.
-
-    Returns
-    -------
-    LawFit
 
     Raises
     ------
@@ -354,10 +347,8 @@ def constant_estimates(found, dataset, bounds=None):
 
     Parameters
     ----------
-    found : Fit
     dataset : Dataset
         For its units.
-    bounds : dict of str to (float, float), optional
     """
     from scipy.stats import t as student_t  # a slow import
 

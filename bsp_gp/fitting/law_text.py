@@ -11,16 +11,7 @@ UNKNOWN = "—"
 
 
 def fit_text(found):
-    """The fit as a table for a terminal; variables stand with their 90 % intervals.
-
-    Parameters
-    ----------
-    found : LawFit
-
-    Returns
-    -------
-    str
-    """
+    """The fit as a table for a terminal; variables stand with their 90 % intervals."""
     e = found.errors
     lines = [
         "[[Model]]", f"    F_i = {found.law_text}",
@@ -69,8 +60,6 @@ def how_it_ended(found, constants, time_limit=None):
 
     Parameters
     ----------
-    found : Fit
-    constants : sequence of ConstantEstimate
     time_limit : float, optional
         Seconds that it had.
     """
@@ -124,7 +113,6 @@ def without_prediction(found, rollout_rmse):
 
     Parameters
     ----------
-    found : Fit
     rollout_rmse : float
         Of the held-out scenes; inf where the motion runs away.
     """
@@ -147,7 +135,6 @@ def doubts(found, widening, has_test):
 
     Parameters
     ----------
-    found : Fit
     widening : float
         Factor on the standard errors.
     has_test : bool
@@ -222,13 +209,7 @@ def _rounded(value, half):
 
 
 def strong_correlations(constants, correlation):
-    """Pairs of constants whose correlation exceeds 0.1, strongest first: (a, b, value).
-
-    Parameters
-    ----------
-    constants : sequence of ConstantEstimate
-    correlation : ndarray, shape (k, k)
-    """
+    """Pairs of constants whose correlation exceeds 0.1, strongest first: (a, b, value)."""
     names = [label(c) for c in constants]
     pairs = [
         (names[a], names[b], float(correlation[a, b]))

@@ -23,13 +23,8 @@ def led_by(groups, found):
 
     Parameters
     ----------
-    groups : tuple of Chains
     found : Fit
         Whose tracks count where they are near what was seen.
-
-    Returns
-    -------
-    tuple of Chains or None
     """
     seen = _seen(groups)
     if not any(_leads(chains, seen) for chains in groups):

@@ -67,7 +67,7 @@ class Links:
 
 
 def link(pieces, changes, white, nodes, n_state):
-    """Join pieces.
+    """Join pieces; None where no piece leads to another.
 
     Parameters
     ----------
@@ -77,12 +77,6 @@ def link(pieces, changes, white, nodes, n_state):
         Of whitened rows, what is left of them last.
     nodes : ndarray, shape (2, R, d, L, W)
         States about which this is linear.
-    n_state : int
-
-    Returns
-    -------
-    Links or None
-        None where no piece leads to another.
     """
     ends = np.isfinite(nodes).all(axis=(0, 1, 2)).sum(axis=0) - 1
     n_forces = changes.shape[0] * n_state // 2

@@ -34,14 +34,10 @@ lacks: a change of its size or rate, or of the form of what drives it back."""
 
 
 def leading_rates(groups, noises):
-    """Angular frequencies of the highest peaks of the tracks' periodogram, highest first.
+    """Angular frequencies of the highest peaks of the tracks' periodogram, highest first, rad/s.
 
     Lines and parabolas are taken out of every track first; between half a turn a track and the
     Nyquist frequency of the median spacing.
-
-    Returns
-    -------
-    list of float, rad/s
     """
     rates = _rates(
         max(float(np.nanmax(c.times) - np.nanmin(c.times)) for c in groups),
@@ -108,7 +104,6 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
 
     Parameters
     ----------
-    found : Fit
     foreseen : bool
         As its law has them, then.
     body : str, optional

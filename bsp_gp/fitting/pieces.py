@@ -179,8 +179,6 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
 
     Parameters
     ----------
-    chains : Chains
-    noise : ChainNoise
     batch : Batch
         Of the scenes that the chains are of.
     n_held : int

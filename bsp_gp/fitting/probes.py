@@ -27,6 +27,8 @@ WAVES = (0, 1, 2)
 def probe_terms(groups, is_moving, is_held=False):
     """As many probes as the shortest tracks can bear, the slowest first.
 
+    They are forces per unit mass, each with one constant of its own.
+
     Parameters
     ----------
     groups : sequence of Chains
@@ -34,11 +36,6 @@ def probe_terms(groups, is_moving, is_held=False):
         Axes along which something moves.
     is_held : bool
         Whether constraints hold bodies: then forces along and across a radius are too much alike.
-
-    Returns
-    -------
-    list of Term
-        Forces per unit mass, each with one constant of its own.
     """
     begin = min(float(np.nanmin(c.times)) for c in groups)
     span = max(float(np.nanmax(c.times)) for c in groups) - begin

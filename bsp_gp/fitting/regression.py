@@ -11,20 +11,14 @@ PASSES = 30
 
 
 def regressed(flows, nodes, noises, constants, free):
-    """Values of the constants that enter linearly, the others as they are.
+    """Values of the constants that enter linearly, the others as they are, (k,).
 
     Parameters
     ----------
     nodes : sequence of ndarray, shape (2, R, d, T, S)
         Read off the data.
-    noises : sequence of ChainNoise
-    constants : ndarray, shape (k,)
     free : sequence of int
         Which are found.
-
-    Returns
-    -------
-    ndarray, shape (k,)
     """
     constants = np.array(constants, dtype=float)
     constants[free] = 0.0

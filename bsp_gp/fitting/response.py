@@ -185,16 +185,13 @@ class ResponseRegression(Regression):
     def columns_at(self, instants, constants):
         """Moments of terms for P values of the constants inside them, shape (n, P, c).
 
+        A column whose term has no finite value at some instant that counts is nan.
+
         Parameters
         ----------
         instants : list of Instants
             Of the terms, as `instants` makes them.
         constants : dict of str to ndarray, shape (P,)
-
-        Returns
-        -------
-        ndarray
-            nan in a column whose term has no finite value at some instant that counts.
         """
         parts, lost = [], False
         for batch, own in zip(self.batches, instants, strict=True):
@@ -473,12 +470,9 @@ class _Group:
     # --- the linearised motion -------------------------------------------------------------------
 
     def linearised(self):
-        """Changes of places at rows, by forces, states, constants, and what nodes lack to join.
+        """Changes of states at instants, by forces, states, constants, and what nodes lack to join.
 
-        Returns
-        -------
-        changes : ndarray, shape (L, W, n, F + n + k + 1)
-            Of the whole state at every instant, F = L R d accelerations first.
+        Shape (L, W, n, F + n + k + 1), F = L R d accelerations first.
         """
         flow = self._flow(self.fine)
         mesh = flow.quick_mesh(self.nodes)

@@ -22,6 +22,8 @@ SLOWEST = 0.3
 def roll(law, chains, first, tolerance, paper_steps=False):
     """Roll a law out over all rows of some chains.
 
+    States (2, R, d, T, S) at every row are inf from where a motion leaves the range of numbers.
+
     Parameters
     ----------
     law : ForceLaw
@@ -30,13 +32,6 @@ def roll(law, chains, first, tolerance, paper_steps=False):
         States at the first row.
     tolerance : ndarray, shape (S,), metres
         Error that a whole track may have.
-    paper_steps : bool
-        Take the paper's steps from row to row.
-
-    Returns
-    -------
-    ndarray, shape (2, R, d, T, S)
-        States at every row; inf from where a motion leaves the range of numbers.
     """
     flow = flow_of(law, chains, tolerance, paper_steps)
     nodes = first_nodes(chains)

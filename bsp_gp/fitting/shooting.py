@@ -62,8 +62,6 @@ def cut_windows(lengths, rows=None, times=None):
 
     Parameters
     ----------
-    lengths : ndarray of int, shape (S,)
-    rows : int, optional
     times : ndarray, shape (T, S), s, optional
         Where they are given, and a chain has gaps, windows end where they would last longer than
         so many rows do: what happens between is not seen. They may have fewer than three rows then.
@@ -166,16 +164,12 @@ class Condensed:
 
 
 def known_states(chains, noise):
-    """Known first states of chains and their standard deviations, (n, S) each; nan = unknown.
+    """Known first states of chains and deviations, (n, S), nan = unknown; None if all are.
 
     Parameters
     ----------
     noise : ChainNoise
         Of their rows.
-
-    Returns
-    -------
-    (ndarray, ndarray) or None
     """
     if chains.begun is None or not np.isfinite(chains.begun).any():
         return None
@@ -192,12 +186,7 @@ def known_states(chains, noise):
 
 
 class Shooting:
-    """The tracks of some chains as a least-squares problem in the constants.
-
-    Parameters
-    ----------
-    noise : ChainNoise
-    """
+    """The tracks of some chains as a least-squares problem in the constants."""
 
     def __init__(self, flow, noise, windows):
         self.flow = flow
@@ -460,16 +449,12 @@ class Shooting:
     def columns(self, condensed, n_most):
         """Changes of the predicted places by initial states and constants, whole tracks.
 
+        Local ones are (n_most, T, S, R, d), shared ones (k, T, S, R, d).
+
         Parameters
         ----------
-        condensed : list of Condensed
         n_most : int
             Local columns to give; those beyond the chain's own are zero.
-
-        Returns
-        -------
-        local : ndarray, shape (n_most, T, S, R, d)
-        shared : ndarray, shape (k, T, S, R, d)
         """
         n, k = self.flow.n_state, self.flow.n_constants
         shape = self.chains.observed.shape
@@ -526,7 +511,6 @@ class Shooting:
         Parameters
         ----------
         nodes : ndarray, shape (2, R, d, T, S)
-        condensed : list of Condensed
         step : ndarray, shape (k,)
         share : float
             Part of the step that initial states and gaps make of their own.

@@ -32,7 +32,6 @@ def simulate_law(
 
     Parameters
     ----------
-    dataset : Dataset
     law : ForceLaw, str or sequence of str
     constants : mapping of str to float, optional
         Values of the constants that typed laws name, SI.

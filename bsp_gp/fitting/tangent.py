@@ -171,8 +171,6 @@ def p_of_gain(gain, rank, noise_dof=np.inf):
 
     Parameters
     ----------
-    gain : float or ndarray
-    rank : int
     noise_dof : float
         Degrees of freedom behind the level of the noise.
     """
@@ -184,12 +182,7 @@ def p_of_gain(gain, rank, noise_dof=np.inf):
 
 
 def as_pair(gain, rank):
-    """The gain in two directions that is as unlikely as this one in `rank` of them.
-
-    Parameters
-    ----------
-    gain, rank : float or ndarray
-    """
+    """The gain in two directions that is as unlikely as this one in `rank` of them."""
     gain, half = np.asarray(gain, dtype=float), np.asarray(rank) / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         near = np.log(chdtrc(rank, gain))

@@ -80,13 +80,7 @@ def tied(motion):
 
 
 def carried(flow, nodes, constants):
-    """Nodes (2, R, d, T, S) with bodies that no row shows on the tracks that the others make.
-
-    Parameters
-    ----------
-    nodes : ndarray
-    constants : ndarray, shape (k,)
-    """
+    """Nodes (2, R, d, T, S) with bodies that no row shows on the tracks that the others make."""
     ties = tied(flow.motion)
     if not ties:
         return nodes
@@ -109,7 +103,6 @@ def shown(found, scenes):
 
     Parameters
     ----------
-    found : Fit
     scenes : sequence of Scene
         Of the clock of the scene that was fitted.
     """

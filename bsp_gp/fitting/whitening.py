@@ -145,7 +145,6 @@ class SummedWhitener(Whitener):
     times : array-like, shape (T, C) or (T, 1), s
     variance : array-like, shape (T, C), squared units of the errors
         Of what is added from the row before, if that lies one step back; nan or inf = not seen.
-    adding : Adding
     """
 
     def __init__(self, times, variance, adding):

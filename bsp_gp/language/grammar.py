@@ -79,7 +79,6 @@ class Grammar:
         Kind of law ("pair", "field") -> start symbol.
     types : mapping of str to Type
         Of every nonterminal.
-    inputs : mapping of str to Type
     operators : mapping of str to str
         What the names in bodies mean (``div`` -> ``div_guarded``).
     enabled : tuple of bool, one per rule

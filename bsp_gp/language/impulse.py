@@ -8,7 +8,7 @@ _SECOND = Unit.of(s=1)
 
 
 def impulse(since, duration):
-    """``impulse(since, duration)``: 1 / duration while |since| < duration / 2, otherwise nothing.
+    """``impulse(since, duration)``: 1 / duration while |since| < duration / 2, else nothing, 1/s.
 
     Times a velocity and the mass it is a kick, a jump of the velocity by that much.
 
@@ -17,10 +17,6 @@ def impulse(since, duration):
     since : Formula, s
         Time since its middle.
     duration : Number, s
-
-    Returns
-    -------
-    Formula, 1/s
 
     Raises
     ------

@@ -27,11 +27,6 @@ def aliasing_notes(law, scenes, units):
         With the values of its constants.
     scenes : sequence of Scene
         As they are fitted.
-    units : UnitSystem
-
-    Yields
-    ------
-    str
     """
     second = units.text(Unit.of(s=1))
     grids = [_step(scene.times) for scene in scenes]

@@ -155,10 +155,7 @@ class _Inputs(Mapping):
 class PairInputs(_Inputs):
     """Inputs of every receiver and source, shape (..., S, R, N - 1) and a trailing d for vectors.
 
-    Parameters
-    ----------
-    positions, velocities : ndarray, shape (..., S, N, d)
-    times : ndarray, shape (..., S)
+    States have the shape (..., S, N, d), times (..., S).
     """
 
     tail = 2
@@ -204,7 +201,6 @@ class Batch:
 
     Attributes
     ----------
-    scenes : tuple of Scene
     times : ndarray, shape (T, S), padded with nan
     positions : ndarray, shape (T, S, N, d)
     velocities : ndarray, shape (T, S, N, d) or None
@@ -233,8 +229,6 @@ def stack(scenes, up=None, velocity="ignore"):
 
     Parameters
     ----------
-    up : str or None
-        Declared vertical axis of the data set.
     velocity : str
         "measured" keeps the scenes' velocities.
     """

@@ -13,7 +13,7 @@ MOST_NUMBERS = 4e7
 
 
 def difference_weights(offsets, order):
-    """Weights of a finite difference at 0 on any grid (Fornberg 1988, Math. Comp. 51, 699).
+    """Weights of a finite difference at 0 on any grid, (k,) (Fornberg 1988, Math. Comp. 51, 699).
 
     Parameters
     ----------
@@ -21,10 +21,6 @@ def difference_weights(offsets, order):
         Places of the samples relative to where the derivative is wanted.
     order : int
         Order of the derivative.
-
-    Returns
-    -------
-    ndarray, shape (k,)
     """
     # Scaled to unit spacing, so that the powers stay near one.
     width = np.max(np.abs(offsets))

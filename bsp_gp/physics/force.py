@@ -152,7 +152,6 @@ class ForceLaw:
 
     Attributes
     ----------
-    terms : tuple of Term
     constants : mapping of str to float, or to a mapping of entity name to float
         Every constant that the terms name. A mapping means one value per receiver, or, if the name
         ends in ``[scene]``, per scene. Who is not in it has none; of indexed names the mean.
@@ -243,7 +242,6 @@ class ForceLaw:
 
         Parameters
         ----------
-        bodies : Bodies
         positions, velocities : ndarray, shape (..., S, N, d), m and m/s
             Or of one scene, (..., 1, N, d), with which all scenes of `bodies` are evaluated.
         times : ndarray, shape (..., S) or (..., 1), s
@@ -277,7 +275,7 @@ class ForceLaw:
         return f"<div>$${escape(self.latex(digits=False))}$$</div><pre>{escape(repr(self))}</pre>"
 
     def simulate(self, scene, states=None, times=None, *, up=None, substeps=16):
-        """Motion under the law from any start.
+        """Motion under the law from any start, a Scene.
 
         Parameters
         ----------
@@ -292,10 +290,6 @@ class ForceLaw:
             Axis that points up, where the law needs it; by default that of the law.
         substeps : int
             Steps from one time to the next.
-
-        Returns
-        -------
-        Scene
         """
         return simulated_scene(self, scene, states, times, up=up or self.up, substeps=substeps)
 
@@ -364,13 +358,7 @@ def tabled(law, scenes):
 
 
 def term_gradient(law, term, bodies, positions, velocities, times):
-    """Acceleration of one term and its exact derivatives by the (scalar) constants of the term.
-
-    Returns
-    -------
-    value : ndarray, shape (..., S, R, d)
-    gradient : dict of str to ndarray of that shape
-    """
+    """Acceleration of a term (..., S, R, d), and its exact derivatives by its scalar constants."""
     lookup = law_inputs(term.kind, under(law, bodies), positions, velocities, times)
     shape = (*positions.shape[:-2], len(bodies.receivers), bodies.n_dims)
     names = term.formula.constants

@@ -40,15 +40,12 @@ def without_masses(dataset):
 def with_usable_masses(dataset, counts=True):
     """Where no dynamic entity has a mass, every mass is one: constants are per unit mass.
 
+    It is the same object where a mass is known; else it has a note.
+
     Parameters
     ----------
     counts : bool
         Whether the mass makes a difference, as far as the law is known.
-
-    Returns
-    -------
-    Dataset
-        The same object where a mass is known; else with a note.
 
     Raises
     ------

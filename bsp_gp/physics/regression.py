@@ -22,7 +22,6 @@ class RegressionBatch:
 
     Attributes
     ----------
-    bodies : Bodies
     times : ndarray, shape (n, S), s
     positions, velocities : ndarray, shape (n, S, N, d)
         The state at which a law is evaluated.
@@ -103,7 +102,6 @@ class Regression:
     ----------
     sigma : ndarray, shape (d,)
         Standard deviation used: of positions, metres, or of accelerations (``derivative``).
-    scenes : tuple of Scene
     widths : Widths or None
         Of the test functions (``weak``).
     n_rows : int
@@ -146,7 +144,6 @@ class Regression:
 
         Parameters
         ----------
-        per_entity : bool
         cache : list of dict, one per batch, optional
             Values of sub-formulas, kept between calls for terms of one kind.
 

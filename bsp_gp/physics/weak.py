@@ -61,11 +61,6 @@ class WeakForm:
         Whether velocities are measured, with noise of their own.
     is_unsure : callable, optional
         ``is_unsure(bodies, positions) -> (T, S, R)``: rows at which no force is to be asked for.
-
-    Attributes
-    ----------
-    widths : Widths
-    parts : list of WeakPart, one per batch
     """
 
     def __init__(

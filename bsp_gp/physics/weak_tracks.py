@@ -100,7 +100,9 @@ def design(times, knots):
 
 
 def combs(times, spacing, sigma, is_measured=False):
-    """Weights of the rows of a run in the test functions.
+    """Weights of the rows of a run in the test functions, (K, n).
+
+    Those of positions are blind to straight motion, of measured velocities to a constant one.
 
     Parameters
     ----------
@@ -108,11 +110,6 @@ def combs(times, spacing, sigma, is_measured=False):
     spacing : float
         Between the knots of the splines, s. 0: the narrowest test functions, as many as there are.
     sigma : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (K, n)
-        Of positions, blind to straight motion; of measured velocities, blind to a constant.
     """
     n = len(times)
     n_blind = 1 if is_measured else 2
@@ -163,12 +160,9 @@ def second_differences(times):
 
 
 def values_of_combs(comb, times, is_measured=False):
-    """Test functions whose last derivative is the comb.
+    """Test functions whose last derivative is the comb: at inner rows, (K, n - 2).
 
-    Returns
-    -------
-    ndarray, shape (K, n - 2) or (K, n - 1)
-        At the inner rows; where velocities are measured, on every step.
+    Where velocities are measured, on every step, (K, n - 1).
     """
     slopes = np.cumsum(comb, axis=1)[:, :-1]
     if is_measured:
@@ -177,16 +171,12 @@ def values_of_combs(comb, times, is_measured=False):
 
 
 def quadrature(times, is_measured, is_stepped):
-    """Weights that turn values of a law at inner rows into integrals against hats or steps.
+    """Weights, (places, inner rows), of a law's values in integrals against hats or steps.
 
     Parameters
     ----------
     is_stepped : bool
         The motion was made by steps: a force acts at the rows alone, for the mean of two steps.
-
-    Returns
-    -------
-    ndarray, shape (places, inner rows)
     """
     n = len(times)
     if is_stepped:

@@ -51,7 +51,6 @@ class ReportFigure:
     ----------
     name : str
         File name without its ending.
-    figure : matplotlib.figure.Figure
     """
 
     name: str

@@ -59,7 +59,7 @@ _ERRORS = (
 
 
 def render_html(report, run_info=None, figures=None):
-    """Write the page of a report.
+    """Write the page of a report, a complete HTML document.
 
     Parameters
     ----------
@@ -67,11 +67,6 @@ def render_html(report, run_info=None, figures=None):
         ``argv`` (list of str) is shown as the command that makes the report again.
     figures : dict of str to ReportFigure, optional
         From `build_figures`; drawn here if not given.
-
-    Returns
-    -------
-    str
-        A complete HTML document.
     """
     figures = build_figures(report) if figures is None else figures
     report = page_of(report)

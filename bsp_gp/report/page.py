@@ -101,7 +101,6 @@ def _other_error(effect, rows):
 
     Parameters
     ----------
-    effect : SimpleNamespace
     rows : sequence of dict
         Of the table of its round.
     """

@@ -22,12 +22,9 @@ _LENGTH, _TIME, _MASS = Unit.of(m=1), Unit.of(s=1), Unit.of(kg=1)
 
 
 def data_text(dataset):
-    """Say what was understood of a data set.
+    """Say what was understood of a data set, line by line.
 
-    Returns
-    -------
-    str
-        Columns, units, scenes, bodies, inputs, axes, noise and notes, a line each.
+    Columns, units, scenes, bodies, inputs, axes, noise and notes.
     """
     names = list(dict.fromkeys(name for scene in dataset.scenes for name in scene.names))
     n_rows = sum(len(scene.times) for scene in dataset.scenes)

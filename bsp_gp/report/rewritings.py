@@ -92,6 +92,8 @@ def rewritten(n_same, why):
 def dependence(law, others, tried, dataset):
     """Whether the data tell how a law depends on a property of which there are several values.
 
+    Sentences; "" where no law with another power of a property was tried.
+
     Parameters
     ----------
     law : str
@@ -102,11 +104,6 @@ def dependence(law, others, tried, dataset):
         All that was fitted beside it.
     dataset : mapping
         What a report says of its data: ``properties`` whose ``is_constant`` is false.
-
-    Returns
-    -------
-    str
-        Sentences; "" where no law with another power of a property was tried.
     """
     if not law or len(_split(law, " + ", " - ")) > 1:
         return ""

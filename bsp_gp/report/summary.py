@@ -38,17 +38,13 @@ _MAX_CHECKS = 3
 def summary_text(report: LoopReport, width: int = WIDTH) -> str:
     """Summarise a report in some twenty lines of whole sentences.
 
+    Verdict, error before and after, what to check, law, constants, rounds, ties, notes; no newline
+    at the end.
+
     Parameters
     ----------
-    report : LoopReport
     width : int
         Characters of a line, at most; sentences are wrapped and never cut.
-
-    Returns
-    -------
-    str
-        Verdict, error before and after, what to check, law, constants, rounds, ties, notes; no
-        newline at the end.
     """
     report = page_of(report)
     notes = [*caveats(report), *report.notes]

@@ -11,17 +11,12 @@ MOST_KINDS = 20
 
 
 def sweep_page(rows, declared):
-    """Write the page.
+    """Write the page, a complete HTML document, every word escaped.
 
     Parameters
     ----------
     rows : sequence of dict
         Of `bsp_gp.sweep.COLUMNS`.
-
-    Returns
-    -------
-    str
-        A complete HTML document, every word escaped.
     """
     environment = Environment(
         loader=PackageLoader("bsp_gp.report"), autoescape=True, undefined=StrictUndefined,

@@ -33,10 +33,7 @@ _LOG_FACTOR = 30.0
 def pick_overlays(overlays, max_panels=MAX_PANELS):
     """Choose the tracks to show without looking at how well they went: scene after scene.
 
-    Returns
-    -------
-    list of Overlay
-        Without those of which nothing was observed.
+    Those of which nothing was observed are left out.
     """
     scenes = {}
     for overlay in overlays:

@@ -105,18 +105,14 @@ def read_constraint(dataset, text, pairs=None, numbers=None):
 def freed_of(dataset, part, point, length):
     """Constraints with names in the place of numbers that were typed: fewest names first.
 
+    Each with its numbers where the rows keep to it best, and what was typed, by name, SI.
+
     Parameters
     ----------
-    part : Constraint
     point : sequence of str
         Names for the coordinates of its point, where it has one of numbers.
     length : str
         A name for its length, where that is a number.
-
-    Returns
-    -------
-    list of (Constraint, dict of str to float)
-        The constraint, its numbers where the rows keep to it best; and what was typed, SI.
     """
     points = _POINT.findall(part.text)
     known = [p.strip() for found in points for p in found.split(",")]

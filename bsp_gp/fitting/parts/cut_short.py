@@ -40,14 +40,8 @@ class CutShort(Edit):
 
         Parameters
         ----------
-        chains : Chains
-        chain : int
         scene : Scene
             Of the chain, in whose extent what is left out may lie anywhere.
-
-        Returns
-        -------
-        CutShort
         """
         n = int(chains.lengths[chain])
         times, places = chains.times[:n, chain], chains.observed[:n, chain]
@@ -66,16 +60,7 @@ class CutShort(Edit):
         return dataset
 
     def followed(self, groups):
-        """Chains of which the bodies' own is cut.
-
-        Parameters
-        ----------
-        groups : tuple of Chains
-
-        Returns
-        -------
-        tuple of Chains
-        """
+        """Chains of which the bodies' own is cut."""
         return tuple(map(self._cut, groups))
 
     def _cut(self, chains):

@@ -176,13 +176,7 @@ def beside_origin(pull):
 
 
 def about_origin(formula):
-    """What a pair formula does to a body at rest at the origin.
-
-    Returns
-    -------
-    by_source, by_receiver : Formula
-        What the other body does there, and what the receiver itself does.
-    """
+    """What the other body, and what the receiver itself, does to one at rest at the origin."""
     there = {P_I: ORIGIN, V_I: _still()}
     swapped = {P_J: P_I, V_J: V_I}
     for node in walk(formula):
@@ -193,7 +187,7 @@ def about_origin(formula):
 
 
 def pull_of(term, strength, places, speeds=(), epoch=0.0, is_relative=False):
-    """A pair term as it acts from one unseen source; None if it cannot.
+    """A pair term as it acts from one unseen source, a field term; None if it cannot.
 
     Parameters
     ----------
@@ -204,11 +198,6 @@ def pull_of(term, strength, places, speeds=(), epoch=0.0, is_relative=False):
     epoch : float, s
     is_relative : bool
         Whether places are those from a body that is pulled too, see `beside_origin`.
-
-    Returns
-    -------
-    Term or None
-        A field term.
     """
     found = unit_pull(term, strength)
     if found is None:
@@ -228,7 +217,6 @@ def body_pulls(term, strength, is_declared=True, is_relative=False):
     ----------
     term : Term
         A pair term.
-    strength : str
     is_declared : bool
         Whether bodies pull each other by the term, the unseen one as if it were like the others.
     is_relative : bool

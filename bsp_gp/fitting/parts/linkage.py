@@ -29,7 +29,6 @@ class Linkage(Numbered):
     couplings : tuple of (str, str)
         Of the constants by which each feels the other: C over its moment of inertia where that is
         not known, else C, which both share.
-    numbers : tuple of Parameter
     """
 
     text: str

@@ -65,12 +65,7 @@ class Orbit(Numbered):
         return place, time
 
     def added(self, times, values):
-        """Velocities at times of any shape, and their changes by each number, (k, ...).
-
-        Parameters
-        ----------
-        values : mapping of str to float
-        """
+        """Velocities at times of any shape, and their changes by each number, (k, ...)."""
         numbers = [values[name] for name in self.names]
         return _circle(times, self.epoch, *numbers) if self.is_circle else _ellipse(
             times, self.epoch, *numbers
@@ -102,7 +97,6 @@ class Trend(Numbered):
     numbers : tuple of Parameter
         The acceleration at the epoch; where it changes as well, also by how much.
     epoch : float, s
-    axis : int
     """
 
     numbers: tuple

@@ -47,7 +47,6 @@ class Chains:
     properties : dict of str to ndarray
         Column -> (R + D, S) or (R + D, S, d); moving bodies first.
     code, radius, width, height : ndarray, shape (R + D, S)
-    up : str or None
     direction : callable
         ``direction(name)`` gives the unit vector of a lab axis.
     series : Series
@@ -186,11 +185,10 @@ def is_coupled(law, batch):
 
 
 def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None, may_lead=False):
-    """Stack scenes into chains for a law.
+    """Stack scenes into chains for a law, one Chains for every build of scenes.
 
     Parameters
     ----------
-    up : str or None
     velocity : str
         "measured" keeps the scenes' velocities.
     coupled : bool, optional
@@ -198,11 +196,6 @@ def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None, may_l
         between them.
     may_lead : bool
         Whether each of more than `MOST_TOGETHER` bodies may be led by where the others were seen.
-
-    Returns
-    -------
-    list of Chains
-        One for every build of scenes.
     """
     out = []
     for batch in stack(scenes, up, velocity):

@@ -161,12 +161,7 @@ class _Link:
 
 
 class Constraints:
-    """The constraints of a law on some chains.
-
-    Parameters
-    ----------
-    parameters : sequence of (name, entity)
-    """
+    """The constraints of a law on some chains."""
 
     def __init__(self, law, chains, parameters, owners):
         self.chains, self.owners = chains, owners
@@ -378,12 +373,7 @@ class Constraints:
         return state
 
     def tangent(self, points):
-        """Derivatives of `held` at states on the constraints by states and constants.
-
-        Returns
-        -------
-        ndarray, shape (M, 2n, 2n + k)
-        """
+        """Derivatives of `held` where states are held by these and constants, (M, 2n, 2n + k)."""
         return np.moveaxis(self.tangent_rows(points), -1, 0)
 
     def tangent_rows(self, points, is_there=False):

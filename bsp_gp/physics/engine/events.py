@@ -37,7 +37,6 @@ def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
 
     Parameters
     ----------
-    stages : _Stages
     end : ndarray, shape (2, R, d, M)
         Ends with the modes of the start; a mended copy is returned.
     h : ndarray, shape (M,)
@@ -45,7 +44,6 @@ def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
         Modes of all intervals; those at `index` are changed in place.
     index : ndarray of int, shape (M,)
         Place of each step's interval in `modes`.
-    slopes : bool
 
     Returns
     -------

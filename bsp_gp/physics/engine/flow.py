@@ -225,7 +225,6 @@ class Flow:
         Returns
         -------
         end : ndarray, shape (2, R, d, M)
-        stages : _Stages
         rates : ndarray, shape (s, 2, R, d, M)
         """
         stages = _Stages(self, scheme, points, h)
@@ -239,16 +238,13 @@ class Flow:
     def step_slopes(self, scheme, stages, h, first=None):
         """Derivatives at the end of a step by something before it and by the constants.
 
+        They are of the shape of `first`.
+
         Parameters
         ----------
         first : ndarray, shape (n, n + k, M) or (M, n, n + k), optional
             Derivatives of the start of the step, by default by itself. Points stand on the last
             axis where few derivatives of the law differ from zero (`is_sparse`).
-
-        Returns
-        -------
-        ndarray
-            Of the shape of `first`.
         """
         n, m = self.n_state, len(h)
         if first is None:
@@ -422,17 +418,13 @@ class Flow:
         return end
 
     def advance(self, state, chain, begin, end):
-        """States of some chains at other times, earlier or later; nan where that fails.
+        """States (2, R, d, M) of chains at other times, earlier or later; nan where that fails.
 
         Parameters
         ----------
         state : ndarray, shape (2, R, d, M)
         chain : ndarray of int, shape (M,)
         begin, end : ndarray, shape (M,), s
-
-        Returns
-        -------
-        ndarray, shape (2, R, d, M)
         """
         leg = object.__new__(Flow)
         leg.__dict__.update(self.__dict__)
@@ -488,7 +480,6 @@ class Flow:
         Parameters
         ----------
         nodes : ndarray, shape (2, R, d, T, S)
-        slopes : bool
 
         Returns
         -------

@@ -300,7 +300,6 @@ class Tape:
         Operations, in order: the places of their arguments and of the result.
     places : list of int
         Where the outputs are then.
-    n_places : int
     """
 
     def __init__(self, graph, outputs, moving):
@@ -341,18 +340,12 @@ class Tape:
         self._functions = [_function(op) for op, _, _ in steps]
 
     def prepare(self, inputs, constants):
-        """Compute what does not change along a track.
+        """Compute what does not change along a track, to hand to `run`: arrays by node.
 
         Parameters
         ----------
         inputs : callable
             ``inputs(name, axis)`` gives an array.
-        constants : mapping of str to array
-
-        Returns
-        -------
-        dict of int to array
-            To hand to `run`.
         """
         values = {}
         for node, op, content in self._leaves:

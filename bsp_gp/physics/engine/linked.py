@@ -27,12 +27,7 @@ def is_held(law):
 
 
 class Linkages:
-    """The linkages of a law on some chains.
-
-    Parameters
-    ----------
-    parameters : sequence of (name, entity)
-    """
+    """The linkages of a law on some chains."""
 
     def __init__(self, law, chains, parameters):
         self.chains, self.n, self.d = chains, chains.n_moving, chains.n_dims

@@ -579,13 +579,7 @@ class Motion:
         return np.broadcast_to(value, shape).sum(axis=1)
 
     def slopes(self, points, holds=True):
-        """Derivatives of the accelerations by the state and by the constants.
-
-        Returns
-        -------
-        by_state : ndarray, shape (M, R * d, 2 * R * d)
-        by_constant : ndarray, shape (M, R * d, k)
-        """
+        """Derivatives by the state, (M, R d, 2 R d), and by the constants, (M, R d, k)."""
         found = self.slope_rows(points, holds)
         return tuple(np.ascontiguousarray(np.moveaxis(part, -1, 0)) for part in found)
 

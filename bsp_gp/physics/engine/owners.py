@@ -21,7 +21,6 @@ class Owners:
 
     Parameters
     ----------
-    parameters : sequence of (name, entity)
     others : ndarray of int, shape (R, J)
         Sources of every receiver.
     """
