@@ -627,8 +627,7 @@ class Climb:
         total, count = np.zeros(k), 0
         for flow, own in zip(self.flows, nodes, strict=True):
             flow.motion.set_constants(constants)
-            points = flow.points(own[..., flow.row, flow.chain], flow.start, flow.chain)
-            _, by_constant = flow.motion.slopes(points)
+            _, by_constant = flow.motion.slopes(flow.at(own, flow.row, flow.chain))
             with np.errstate(all="ignore"):
                 by_unknown = by_constant @ slopes
             good = np.isfinite(by_unknown).all(axis=(1, 2))
@@ -740,9 +739,7 @@ class Climb:
                 return True
         for flow, nodes in zip(self.flows, minimum.point.nodes, strict=True):
             flow.motion.set_constants(constants)
-            state = nodes[..., flow.row, flow.chain]
-            points = flow.points(state, flow.start, flow.chain)
-            by_state, _ = flow.motion.slopes(points)
+            by_state, _ = flow.motion.slopes(flow.at(nodes, flow.row, flow.chain))
             stiffness = -by_state[:, :, : flow.n_state // 2]
             good = np.isfinite(stiffness).all(axis=(1, 2))
             if not good.any():

@@ -5,8 +5,6 @@ times in a turn may pass its centre between two of them. A few rows that lie clo
 then the track is predicted to the next rows, and fitted again with them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.fitting.least_squares import minimise
@@ -14,8 +12,6 @@ from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise, TrackPoint, TrackProblem
 from bsp_gp.physics.engine.flow import Flow
-
-__all__ = ["RANKS", "grow", "seeds", "tried"]
 
 SEED_ROWS = 5
 RANKS = 3

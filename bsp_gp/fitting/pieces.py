@@ -1,7 +1,5 @@
 """Pieces of tracks, short enough that what forces do to them is a small matrix."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,8 +9,6 @@ from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.physics.bodies import Bodies
 from bsp_gp.physics.engine.driven import Driven
 from bsp_gp.physics.geometry import Shapes
-
-__all__ = ["Pieces", "cut_pieces"]
 
 MOST_COORDINATES = 300
 """Coordinates of a piece at the most, and its least number of rows."""

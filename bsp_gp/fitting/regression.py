@@ -65,7 +65,7 @@ def _rows(flow, nodes, noise, constants, free):
     span = h0 + h1
     error = np.hypot(error, np.abs(target) * (span / np.median(span))[:, None, None] ** 2 * 0.05)
     flow.motion.set_constants(constants)
-    points = flow.points(nodes[..., row + 1, chain], t[row + 1, chain], chain)
+    points = flow.at(nodes, row + 1, chain)
     fixed = np.moveaxis(flow.motion.acceleration(points), -1, 0)
     ones = constants.copy()
     ones[free] = 1.0  # linear: the columns are those of any value

@@ -402,8 +402,7 @@ def _instants_per_row(fit, chains, nodes):
     flow = Flow(motion, np.ones(chains.n_chains))
     count = flow.n_intervals
     some = np.linspace(0, count, min(count, MOST_LOOKED_AT), endpoint=False).astype(int)
-    row, chain = flow.row[some], flow.chain[some]
-    points = flow.points(nodes[..., row, chain], flow.start[some], chain)
+    points = flow.at(nodes, flow.row[some], flow.chain[some])
     by_state, _ = flow.motion.slopes(points)
     half = flow.n_state // 2
     stiffness = np.abs(by_state[:, :, :half]).sum(axis=-1).max(axis=-1)
@@ -543,7 +542,7 @@ class _Group:
             return None
         out = np.tile(np.eye(half), (*self.fine.times.shape, 1, 1))
         row, chain = np.nonzero(np.isfinite(self.fine.times))
-        points = flow.points(self.nodes[..., row, chain], self.fine.times[row, chain], chain)
+        points = flow.at(self.nodes, row, chain)
         own = np.arange(self.n_own) * self.n_dims
         out[row[:, None, None], chain[:, None, None], own[:, None], own] = np.linalg.inv(
             linkages.matrix(points)
@@ -845,7 +844,7 @@ class _Group:
         """
         row, chain = np.nonzero(np.isfinite(self.fine.times))
         flow = self._flow(self.fine)
-        points = flow.points(self.nodes[..., row, chain], self.fine.times[row, chain], chain)
+        points = flow.at(self.nodes, row, chain)
         by_constant = np.nan_to_num(flow.motion.slopes(points)[1])
         if flow.motion.linkages:  # as forces
             shaped = by_constant.reshape(len(row), self.n_own, self.n_dims, -1)

@@ -6,6 +6,8 @@ before (Newton's method on the joints). Where that fails - motion that runs away
 shorter stretches are taken, down to one row after the other.
 """
 
+from copy import copy
+
 import numpy as np
 
 from bsp_gp.fitting.starts import first_nodes
@@ -68,8 +70,7 @@ def flow_of(law, chains, tolerance, paper_steps=False):
 
 def _leg(flow, nodes, row, stop):
     """The intervals of some rows, of chains that have not run away."""
-    leg = object.__new__(Flow)
-    leg.__dict__.update(flow.__dict__)
+    leg = copy(flow)
     alive = np.isfinite(nodes[..., row, :]).all(axis=(0, 1, 2))
     mine = (flow.row >= row) & (flow.row < stop) & alive[flow.chain]
     leg.row, leg.chain = flow.row[mine], flow.chain[mine]

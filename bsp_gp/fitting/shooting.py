@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bsp_gp.fitting.unseen import tied
+from bsp_gp.physics.engine.chains import spread
 from bsp_gp.physics.engine.seen import sight
 
 STATE_PRIOR = 1e4
@@ -178,7 +179,7 @@ def known_states(chains, noise):
     level = np.sqrt(variance.min(axis=(0, 2, 3)))
     size = np.abs(np.nan_to_num(chains.observed)).max(axis=(0, 2, 3), initial=0.0)
     least = np.maximum(EXACT * level, ROUNDINGS * np.finfo(float).eps * size)
-    span = _spread(chains.times)
+    span = spread(chains.times)
     least = np.repeat(np.stack([least, least / np.where(span > 0, span, 1.0)]), half, axis=0)
     values = chains.begun.reshape(2 * half, n_chains)
     errors = np.maximum(chains.begun_errors.reshape(2 * half, n_chains), least)
@@ -205,24 +206,24 @@ class Shooting:
     def _window_extents(self):
         """How far bodies go within each window, (W,), m; at least a part of the whole track's."""
         windows, observed = self.windows, self.chains.observed
-        whole = _spread(observed).max(axis=(1, 2))
+        whole = spread(observed).max(axis=(1, 2))
         out = np.empty(len(windows.chain))
         seen = np.isfinite(observed)
         low, high = np.where(seen, observed, np.inf), np.where(seen, observed, -np.inf)
         for k, (s, a, b) in enumerate(zip(windows.chain, windows.first, windows.stop, strict=True)):
-            spread = high[a:b, s].max(axis=0) - low[a:b, s].min(axis=0)
-            out[k] = max(float(np.max(spread, initial=0.0)), 1e-3 * whole[s])
+            reach = high[a:b, s].max(axis=0) - low[a:b, s].min(axis=0)
+            out[k] = max(float(np.max(reach, initial=0.0)), 1e-3 * whole[s])
         return np.where(out > 0, out, np.inf)
 
     def _prior(self):
         """Inverse prior deviations of the state, (n, S)."""
         chains = self.chains
-        spread = _spread(chains.observed).max(axis=(1, 2))
-        spread = np.where(spread > 0, spread, 1.0)
-        span = _spread(chains.times)
+        extent = spread(chains.observed).max(axis=(1, 2))
+        extent = np.where(extent > 0, extent, 1.0)
+        span = spread(chains.times)
         half = self.flow.n_state // 2
         return np.repeat(
-            np.stack([1 / (STATE_PRIOR * spread), span / (STATE_PRIOR * spread)]), half, axis=0
+            np.stack([1 / (STATE_PRIOR * extent), span / (STATE_PRIOR * extent)]), half, axis=0
         )
 
     # --- linearising -----------------------------------------------------------------------------
@@ -431,7 +432,7 @@ class Shooting:
         rows = rows[rows < self.chains.lengths[chain]]
         times, at = self.chains.times[rows, chain], np.full(len(rows), chain)
         with np.errstate(all="ignore"):
-            pushes = flow.motion.acceleration(flow.points(nodes[..., rows, at], times, at))
+            pushes = flow.motion.acceleration(flow.at(nodes, rows, at))
             lasting = np.abs(np.median(pushes, axis=-1)).max()  # that of an oscillation is none
         lasts = times[-1] - times[0]
         reach = np.nan_to_num(0.5 * lasting * lasts**2, posinf=0.0)
@@ -541,14 +542,6 @@ class Shooting:
             chain = self.windows.chain[group][at[1]]
             nodes[..., rows[at], chain] += change[..., at[0], at[1]]
         return nodes
-
-
-def _spread(values):
-    """Largest less smallest along the first axis; 0 where there is none."""
-    seen = np.isfinite(values)
-    high = np.where(seen, values, -np.inf).max(axis=0)
-    low = np.where(seen, values, np.inf).min(axis=0)
-    return np.where(seen.any(axis=0), high - low, 0.0)
 
 
 def _dampings(s, image, shares):

@@ -4,16 +4,12 @@ Two bodies that almost meet part in a direction that hangs on less than the erro
 path under the true law leads through, or a thousand do. What came before tells the law as ever.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bsp_gp.fitting.jumps import scatter
 from bsp_gp.fitting.parts.defects import Edit
-
-__all__ = ["CutShort"]
 
 LEAST_ROWS, LEAST_SEEN = 2, 8
 """Rows that are left of a track (they tell its state, and nothing of a law), and those of which a

@@ -258,6 +258,14 @@ def _chains(batch, coupled, led, rails=()):
     )
 
 
+def spread(values):
+    """Largest less smallest along the first axis; 0 where there is none."""
+    seen = np.isfinite(values)
+    high = np.where(seen, values, -np.inf).max(axis=0)
+    low = np.where(seen, values, np.inf).min(axis=0)
+    return np.where(seen.any(axis=0), high - low, 0.0)
+
+
 def _begun(scenes, owners, rails=()):
     """Known first states of chains and their errors, (2, R, d, G * S) each; None where none is.
 

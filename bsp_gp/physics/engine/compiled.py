@@ -3,6 +3,8 @@
 A motion is packed unless an operator of a user's acts in it, which only NumPy can call.
 """
 
+from copy import copy
+
 import numpy as np
 
 from bsp_gp.physics.engine import kernel
@@ -43,8 +45,7 @@ class Compiled:
 
     def on(self, motion):
         """The same formulas on other chains."""
-        other = object.__new__(Compiled)
-        other.__dict__.update(self.__dict__)
+        other = copy(self)
         other.motion, other._codes = motion, [None, None]
         return other
 

@@ -10,11 +10,13 @@ then frozen (a `Mesh`), so that a fit sees one smooth function of its unknowns. 
 changes within a step, the step ends there, and the derivatives jump (saltation).
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import DOP853, RK45
 
+from bsp_gp.physics.engine.chains import spread
 from bsp_gp.physics.engine.driven import Driven
 from bsp_gp.physics.engine.events import chained, passed_over, through_events, up_to_events
 from bsp_gp.physics.engine.motion import Points
@@ -192,6 +194,10 @@ class Flow:
             return found
         return Points(state, times, chain, found.driven, self.motion.modes_at(found))
 
+    def at(self, nodes, row, chain, modes=None):
+        """Points at nodes (2, R, d, T, S) of some rows."""
+        return self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, modes)
+
     def held(self, nodes):
         """Nodes (2, R, d, T, S) put on the constraints of the law."""
         own = self.motion.constraints
@@ -207,17 +213,15 @@ class Flow:
     def _changed(self, nodes, change, modes=None):
         """Nodes (2, R, d, T, S) with states in the place of those at measured rows."""
         row, chain = np.nonzero(np.isfinite(self.chains.times))
-        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, modes)
-        nodes = nodes.copy()
-        nodes[..., row, chain] = change(points)
-        return nodes
+        changed = nodes.copy()
+        changed[..., row, chain] = change(self.at(nodes, row, chain, modes))
+        return changed
 
     def tangent(self, nodes, row, chain):
         """Derivatives of nodes that are put on the constraints, (M, n, n + k); None if none are."""
         if not self.motion.constraints:
             return None
-        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, [])
-        return self.motion.constraints.tangent(points)
+        return self.motion.constraints.tangent(self.at(nodes, row, chain, []))
 
     def step(self, scheme, points, h):
         """One step of a scheme with the modes frozen.
@@ -426,8 +430,7 @@ class Flow:
         chain : ndarray of int, shape (M,)
         begin, end : ndarray, shape (M,), s
         """
-        leg = object.__new__(Flow)
-        leg.__dict__.update(self.__dict__)
+        leg = copy(self)
         # A chain may be asked for at several times: each has a row of its own.
         order = np.argsort(chain, kind="stable")
         row = np.empty(len(chain), dtype=int)
@@ -446,15 +449,11 @@ class Flow:
 
     def _scales(self, nodes):
         """Error that a place and a velocity of each chain may have in one step, (2, S)."""
-        spread = (nodes[0].max(axis=2) - nodes[0].min(axis=2)).max(axis=(0, 1))
+        extent = np.ptp(nodes[0], axis=2).max(axis=(0, 1))
         speed = np.abs(nodes[1]).max(axis=(0, 1, 2))
         with np.errstate(invalid="ignore", divide="ignore"):
-            rate = np.where(spread > 0, speed / spread, 0.0)
-        times = self.chains.times
-        seen = np.isfinite(times)
-        last = np.where(seen, times, -np.inf).max(axis=0)
-        first = np.where(seen, times, np.inf).min(axis=0)
-        span = last - first
+            rate = np.where(extent > 0, speed / extent, 0.0)
+        span = spread(self.chains.times)
         span = np.where(span > 0, span, 1.0)
         rate = np.where(np.isfinite(rate) & (rate > 0), rate, 1.0 / span)
         return np.stack([self.tolerance, self.tolerance * np.maximum(rate, 1.0 / span)])

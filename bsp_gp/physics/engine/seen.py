@@ -130,7 +130,7 @@ def _late(flow, nodes):
     if not parts:
         return Sight(places)
     rows, chain = np.nonzero(np.isfinite(chains.times))
-    points = flow.points(nodes[..., rows, chain], chains.times[rows, chain], chain)
+    points = flow.at(nodes, rows, chain)
     (p, v), a = points.state, motion.acceleration(points)
     by_state, by_constant = motion.slopes(points)
     bodies, late = np.array(chains.bodies).T[:, None, chain], {}
