@@ -24,7 +24,7 @@ from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.student import log_likelihood
-from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.fitting.tracks import chain_noises
 from bsp_gp.fitting.weighing import bears_outliers, informed, to_begin_with, weighed
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.constrained import constraints_of
@@ -303,7 +303,7 @@ class _Run:
             self.law, dataset.scenes, dataset.up, dataset.velocity, may_lead=True
         )
         self.groups = hypothesis.followed(tuple(groups))
-        self.channels = _channels(self.groups)
+        self.channels = Channels.of(self.groups)
         self.roles = roles_of(self.law)
         self.is_over = _Patience(0.0, None, None)
         # Of descents of which a few tracks stayed behind: what is left of the others, these, and
@@ -581,21 +581,7 @@ class _Run:
         """The rows' noise under a model, per group; white variances are divided by weights."""
         channels = channels or self.channels
         white, amplitude = model.parts(channels)
-        white = white / weights
-        out, first = [], 0
-        for chains in self.groups:
-            shape = chains.observed.shape
-            count = int(np.prod(shape[1:]))
-            part = slice(first, first + count)
-            first += count
-            out.append(
-                ChainNoise(
-                    chains.times, white[: shape[0], part].reshape(shape),
-                    np.nan_to_num(amplitude[: shape[0], part]).reshape(shape),
-                    model.correlation_time, model.adding,
-                )
-            )  # fmt: skip
-        return tuple(out)
+        return chain_noises(self.groups, white / weights, amplitude, model)
 
     def result(self, climb, minimum, model, paper_steps):
         """Everything that is said of a minimum."""
@@ -742,32 +728,6 @@ def _inverse(slopes):
         return np.linalg.inv(slopes)
     except np.linalg.LinAlgError:
         return np.full(slopes.shape, np.nan)
-
-
-def _channels(groups):
-    """What each coordinate of each body in each scene is, groups one after the other."""
-    bodies, scenes, axis, body, scene, chain = {}, {}, [], [], [], []
-    count = 0
-    for chains in groups:
-        for name, members in zip(chains.scenes, chains.bodies, strict=True):
-            at = scenes.setdefault(name, len(scenes))
-            for member in members:
-                body += [bodies.setdefault(member, len(bodies))] * chains.n_dims
-                scene += [at] * chains.n_dims
-                axis += range(chains.n_dims)
-                chain += [count] * chains.n_dims
-            count += 1
-    quoted = None
-    if any(chains.sigma is not None for chains in groups):
-        quoted = join(
-            np.full(c.observed.shape, np.nan) if c.sigma is None else c.sigma for c in groups
-        )
-    times = [np.broadcast_to(c.times[:, :, None, None], c.observed.shape) for c in groups]
-    return Channels(
-        times=join(times), seen=np.isfinite(join(c.observed for c in groups)),
-        axis=np.array(axis), body=np.array(body), scene=np.array(scene), chain=np.array(chain),
-        body_names=tuple(bodies), scene_names=tuple(scenes), quoted=quoted,
-    )  # fmt: skip
 
 
 def covariance_of(information):

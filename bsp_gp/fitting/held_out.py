@@ -73,10 +73,15 @@ def known_in(found, dataset, scenes, *, deadline=None):
     """A fit whose law knows what belongs to other scenes alone, from their first rows."""
     if not _own(found.law, scenes) and not unknown_beyond(found.law, scenes):
         return found
+    head = _on_heads(found, dataset, scenes, deadline)
+    return found if head.is_failed else replace(found, law=head.law)
+
+
+def _on_heads(found, dataset, scenes, deadline):
+    """A fit with the states of scenes fitted on their first rows."""
     heads = tuple(s.rows(0, _n_head(dataset, s, False)) for s in scenes)
     heads, _ = without_outliers(heads, found.noise.levels)
-    head = with_states(found, dataset, heads, deadline=deadline)
-    return found if head.is_failed else replace(found, law=head.law)
+    return with_states(found, dataset, heads, deadline=deadline)
 
 
 def held_out_errors(found, dataset, scenes, *, deadline=None):
@@ -127,7 +132,8 @@ def predictions(found, dataset, scenes, *, deadline=None):
         scenes = _at_rest(scenes)
     measured = _is_measured(dataset, scenes)
     begun = _begun(found.law, dataset, scenes, measured)
-    states = {} if measured or not begun else _first_states(found, dataset, begun, deadline)
+    is_asked = begun and not measured
+    states = _states_of(_on_heads(found, dataset, begun, deadline)) if is_asked else {}
     tracks = {scene.name: np.full(scene.positions[:, scene.dynamic].shape, np.nan)
               for scene in scenes}  # fmt: skip
     bodies = {s.name: [s.names[k] for k in s.dynamic] for s in scenes}
@@ -210,13 +216,6 @@ def _is_late(dataset, scene, measured):
     """Which moving bodies the first rows do not show often enough to know their state."""
     head = scene.positions[: _n_initial(dataset, scene, measured), scene.dynamic]
     return np.isfinite(head).all(axis=-1).sum(axis=0) < (1 if measured else 2)
-
-
-def _first_states(found, dataset, scenes, deadline):
-    """States at the first row fitted on the first rows, (scene, body) -> (2, d)."""
-    heads = tuple(s.rows(0, _n_head(dataset, s, False)) for s in scenes)
-    heads, _ = without_outliers(heads, found.noise.levels)
-    return _states_of(with_states(found, dataset, heads, deadline=deadline))
 
 
 def _states_of(head):
@@ -317,7 +316,7 @@ def held_out_rows(found, dataset, scenes, *, scatter=None, deadline=None):
     -------
     list of dict
         The fields of `bsp_gp.physics.metrics.ERRORS`, the predicted positions `foreseen`
-        (T, R, d), and the number of rows `n_initial` that they start from. None for a fit without
+        (T, R, d), and the number of rows `n_initial` that they start from. None of a fit without
         finite constants.
     """
     scenes = tuple(shown(found, scenes))

@@ -113,6 +113,14 @@ class Numbered(Part):
         return replace(self, numbers=tuple(numbers))
 
 
+class Valued(Part):
+    """A part with a field `values`, where a fit of the numbers `names` begins."""
+
+    def at(self, values):
+        """The part at other values, mapping of name to number."""
+        return replace(self, values=tuple(float(values[name]) for name in self.names))
+
+
 @dataclass(frozen=True)
 class Forces(Part):
     """Forces that add up.

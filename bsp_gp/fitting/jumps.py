@@ -117,10 +117,7 @@ def scatter(places):
 def _jumps(times, places, rows, error, levels):
     """Jumps as (row behind it, Jump), told by so many rows on each side."""
     least = CLEAR_THERE if levels else CLEAR
-    window = np.lib.stride_tricks.sliding_window_view
-    t, x = window(times, 2 * rows), np.swapaxes(window(places, 2 * rows, axis=0), 1, 2)
-    middle = t[:, rows - 1 : rows + 1].mean(axis=1)
-    t = t - middle[:, None]
+    t, x, middle = windows(times, places, rows)
     numbers, left, rest, smooth = solved_alike(t, x, _explained)
     gains = surely = (rest - left) / error**2
     if SIDE_ROWS[0] < rows < LONGEST:  # where a wide swing turns it is no cubic, and no jump either
@@ -140,6 +137,17 @@ def _jumps(times, places, rows, error, levels):
             if surely[k] > CLEAR or _is_at(jump, levels):
                 out.append((k + rows, jump))
     return out
+
+
+def windows(times, places, rows):
+    """Windows of so many rows on each side: times since their middles, places, and the middles.
+
+    Of shapes (K, n), (K, n, d) and (K,).
+    """
+    window = np.lib.stride_tricks.sliding_window_view
+    t, x = window(times, 2 * rows), np.swapaxes(window(places, 2 * rows, axis=0), 1, 2)
+    middle = t[:, rows - 1 : rows + 1].mean(axis=1)
+    return t - middle[:, None], x, middle
 
 
 def _explained(t, x):

@@ -27,7 +27,7 @@ def led_by(groups, found):
         Whose tracks count where they are near what was seen.
     """
     seen = _seen(groups)
-    if not any(_leads(chains, seen) for chains in groups):
+    if not any(are_led(chains, seen) for chains in groups):
         return None
     tracks = _tracks(found, seen)
     pairs = [_led(chains, tracks) for chains in groups]
@@ -47,10 +47,10 @@ def _seen(groups):
     return out
 
 
-def _leads(chains, seen):
-    """Whether bodies that forces move stand beside chains, where they were seen."""
+def are_led(chains, moving):
+    """Whether bodies that forces move, by scene and name, stand beside chains."""
     beside = zip(chains.scenes, chains.fixed, strict=True)
-    return any((scene, body) in seen for scene, fixed in beside for body in fixed)
+    return any((scene, body) in moving for scene, fixed in beside for body in fixed)
 
 
 def _tracks(found, seen):

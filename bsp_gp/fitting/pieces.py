@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bsp_gp.fitting.led import are_led
 from bsp_gp.fitting.shooting import Windows, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.physics.bodies import Bodies
 from bsp_gp.physics.engine.driven import Driven
-from bsp_gp.physics.geometry import Shapes
 
 MOST_COORDINATES = 300
 """Coordinates of a piece at the most, and its least number of rows."""
@@ -163,13 +163,6 @@ def _moving(chains):
     return {(scene, name) for scene, bodies in owners for name in bodies}
 
 
-def _are_led(chains):
-    """Whether bodies that forces move stand beside others."""
-    moving = _moving(chains)
-    beside = zip(chains.scenes, chains.fixed, strict=True)
-    return any((scene, name) in moving for scene, fixed in beside for name in fixed)
-
-
 def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
     """Cut chains into pieces.
 
@@ -190,7 +183,8 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
     rows = max(int(MOST_COORDINATES / max(n_own - n_held / 2, 1)), LEAST_ROWS)
     # Bodies whose tracks are cut short lead others as they were seen, or are nowhere from there on.
     lengths = chains.lengths.reshape(n_groups, n_scenes)
-    lengths = lengths.max(axis=0) if _are_led(chains) else lengths.min(axis=0)
+    is_led = are_led(chains, _moving(chains))
+    lengths = lengths.max(axis=0) if is_led else lengths.min(axis=0)
     windows = cut_windows(lengths, rows)
     if hits:
         windows = _between_hits(windows, {(chain % n_scenes, row) for chain, row in hits})
@@ -236,14 +230,11 @@ def _bodies(bodies, scene, order, n_own):
     def taken(values):
         return np.concatenate([values[scene][:, rows] for rows in order])
 
-    shapes = bodies.shapes
     return replace(
         bodies,
         names=tuple(tuple(bodies.names[s][k] for k in rows) for rows in order for s in scene),
         receivers=np.arange(n_own),
         scenes=tuple(bodies.scenes[s] for _ in order for s in scene),
         properties={name: taken(values) for name, values in bodies.properties.items()},
-        shapes=Shapes(
-            *(taken(getattr(shapes, name)) for name in ("code", "radius", "width", "height"))
-        ),
+        shapes=bodies.shapes.map(taken),
     )

@@ -17,12 +17,13 @@ from functools import cached_property
 
 import numpy as np
 
+from bsp_gp.fitting.channels import split
 from bsp_gp.fitting.free_force import NOTHING, STRENGTHS, FreeForce, in_units
 from bsp_gp.fitting.links import less_exact, link, orthonormal
 from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.fitting.pieces import cut_pieces
 from bsp_gp.fitting.shooting import known_states
-from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.fitting.tracks import chain_noises
 from bsp_gp.fitting.unseen import as_driven
 from bsp_gp.fitting.weighing import as_normal, bears_outliers, to_begin_with
 from bsp_gp.language.formula import evaluate
@@ -294,18 +295,15 @@ def respond(fit, dataset, is_quick=False):
     with one_thread(), np.errstate(all="ignore"):
         batches, columns, levels, smoothed = [], [], [], []
         free, used, total = np.zeros(2), 0, 0
-        first, plain = 0, as_normal(fit)
+        plain = as_normal(fit)
         if plain is fit:
             groups, dataset = _without_outliers(fit, dataset)
         else:
             fit, groups = plain, _weighed(fit, plain)
-        for chains, nodes, batch in zip(
-            groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
-        ):
+        stacked = stack(dataset.scenes, dataset.up, dataset.velocity)
+        noises = chain_noises(groups, *fit.noise.parts(fit.channels), fit.noise)
+        for chains, nodes, noise, batch in zip(groups, fit.nodes, noises, stacked, strict=True):
             batch = replace(batch, bodies=under(fit.law, batch.bodies))
-            count = int(np.prod(chains.observed.shape[1:]))
-            noise = _noise(fit, chains, slice(first, first + count))
-            first += count
             pairs = [pair for part in constraints_of(fit.law) for pair in part.pairs]
             n_held = sum(pair[0] in chains.bodies[0] for pair in pairs)
             per_row = 1 if fit.paper_steps else _instants_per_row(fit, chains, nodes)
@@ -356,25 +354,9 @@ def _without_outliers(fit, dataset):
 
 def _weighed(fit, plain):
     """Groups of chains of a fit with rows where its like without tails has them."""
-    change, first, groups = plain.residual - fit.residual, 0, []
-    for chains in fit.groups:
-        shape = chains.observed.shape
-        count = int(np.prod(shape[1:]))
-        own = change[: shape[0], first : first + count].reshape(shape)
-        groups.append(replace(chains, observed=chains.observed + np.nan_to_num(own)))
-        first += count
-    return groups
-
-
-def _noise(fit, chains, part):
-    """The noise of the rows of a group of chains."""
-    white, amplitude = fit.noise.parts(fit.channels)
-    shape = chains.observed.shape
-    return ChainNoise(
-        chains.times, white[: shape[0], part].reshape(shape),
-        np.nan_to_num(amplitude[: shape[0], part]).reshape(shape), fit.noise.correlation_time,
-        fit.noise.adding,
-    )  # fmt: skip
+    change = np.nan_to_num(plain.residual - fit.residual)
+    pairs = zip(fit.groups, split(change, fit.groups), strict=True)
+    return [replace(chains, observed=chains.observed + own) for chains, own in pairs]
 
 
 def _hits(fit, chains, nodes):

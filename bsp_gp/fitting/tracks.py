@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.fitting.channels import split
 from bsp_gp.fitting.problem import Linearised
 from bsp_gp.fitting.whitening import whitener_of
 from bsp_gp.physics.engine.flow import Flow
@@ -65,6 +66,15 @@ class ChainNoise:
     @property
     def n_seen(self):
         return int(np.isfinite(self.variance).sum())
+
+
+def chain_noises(groups, white, amplitude, model):
+    """The noise of the rows of groups of chains, from parts (T, C) of a model's, tuple."""
+    parts = zip(groups, split(white, groups), split(np.nan_to_num(amplitude), groups), strict=True)
+    return tuple(
+        ChainNoise(chains.times, variance, size, model.correlation_time, model.adding)
+        for chains, variance, size in parts
+    )
 
 
 @dataclass(frozen=True, eq=False)

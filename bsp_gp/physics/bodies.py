@@ -130,9 +130,7 @@ class _Inputs(Mapping):
         if name in ("p_i", "p_j", "v_i", "v_j"):
             return self._state(self.positions if name[0] == "p" else self.velocities, name[-1])
         if name in ("s_i", "s_j"):
-            shapes = self.bodies.shapes
-            fields = (shapes.code, shapes.radius, shapes.width, shapes.height)
-            return Shapes(*(self._property(values, name[-1]) for values in fields))
+            return self.bodies.shapes.map(lambda values: self._property(values, name[-1]))
         if name == "t":
             return np.asarray(self.times)[(...,) + (None,) * self.tail]
         if name == "p_c":

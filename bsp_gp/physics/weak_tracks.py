@@ -240,9 +240,7 @@ class Track:
         sigma : ndarray, shape (T,)
             Standard deviations of the positions (velocities).
         """
-        blocks = _blocks(times, runs, spacing, sigma, is_measured)
-        data = np.concatenate([np.zeros((0, len(times))), *blocks])
-        whitener, kept = _whitener(data * sigma)
+        blocks, whitener, kept, observe = _observing(times, runs, spacing, sigma, is_measured)
         inner = np.zeros(len(times), dtype=bool)
         law = [np.zeros((0, len(times)))]
         for run, block in zip(runs, blocks, strict=True):
@@ -251,15 +249,21 @@ class Track:
             values = values_of_combs(block[:, run.nodes], t, is_measured)
             law.append(np.zeros(block.shape))
             law[-1][:, run.nodes[run.inner]] = values @ quadrature(t, is_measured, is_stepped)
-        return cls(whitener @ data[kept], whitener @ np.concatenate(law)[kept], inner)
+        return cls(whitener @ observe, whitener @ np.concatenate(law)[kept], inner)
 
 
 def seen_through(times, runs, spacing, sigma, values, is_measured=False):
     """What whitened test functions see of some values (T, k): shape (K, k), see `Track.of`."""
+    _, whitener, _, observe = _observing(times, runs, spacing, sigma, is_measured)
+    return whitener @ (observe @ values)
+
+
+def _observing(times, runs, spacing, sigma, is_measured):
+    """Combs of every run, what whitens them, which of all are independent, and those."""
     blocks = _blocks(times, runs, spacing, sigma, is_measured)
     data = np.concatenate([np.zeros((0, len(times))), *blocks])
     whitener, kept = _whitener(data * sigma)
-    return whitener @ (data[kept] @ values)
+    return blocks, whitener, kept, data[kept]
 
 
 def _blocks(times, runs, spacing, sigma, is_measured):

@@ -8,7 +8,7 @@ Numbers are 0 where the measurement is as declared.
 from dataclasses import dataclass, replace
 from functools import reduce
 
-from bsp_gp.fitting.hypothesis import Parameter, Part
+from bsp_gp.fitting.hypothesis import Parameter, Valued
 from bsp_gp.units import DIMENSIONLESS, Unit
 
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
@@ -35,7 +35,7 @@ TEXTS = {
 
 
 @dataclass(frozen=True)
-class Instrument(Part):
+class Instrument(Valued):
     """One way in which a measurement may be wrong.
 
     Attributes
@@ -112,10 +112,6 @@ class Instrument(Part):
         if self.code == "decentred":
             rest = [max(-ASIDE, min(-number / bend, ASIDE)) if bend else 0.0 for number in rest]
         return replace(self, values=(bend, *rest))
-
-    def at(self, values):
-        """The part at other values, mapping of name to number."""
-        return replace(self, values=tuple(float(values[name]) for name in self.names))
 
     def undo(self, g, place, time, is_driven):
         """True place and time, nodes of a graph; `is_driven` where forces do not move a body."""

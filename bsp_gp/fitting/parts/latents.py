@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from bsp_gp.fitting.hypothesis import Parameter, Part
+from bsp_gp.fitting.hypothesis import Parameter, Valued
 from bsp_gp.physics.force import key_of
 
 
@@ -21,7 +21,7 @@ class About:
 
 
 @dataclass(frozen=True)
-class Properties(Part):
+class Properties(Valued):
     """Unknown properties.
 
     Attributes
@@ -77,10 +77,6 @@ class Properties(Part):
                 prior = About(start, Parameter("", prior=prior).width(start))
             out.append(Parameter(item.name, "", units[item.column], *ends, start, prior))
         return tuple(out)
-
-    def at(self, values):
-        """The part at other values, mapping of name to number."""
-        return replace(self, values=tuple(float(values[name]) for name in self.names))
 
     def off_bounds(self):
         """The part with what stands at a bound back at the middle of its prior.
