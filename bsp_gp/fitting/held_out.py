@@ -24,7 +24,7 @@ from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.force import key_of, tabled
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations
-from bsp_gp.units import ACCELERATION, Unit
+from bsp_gp.units import ACCELERATION, METRE
 
 LEAST_ROWS = 3
 """Rows that a state is fitted on, at least."""
@@ -108,7 +108,7 @@ def errors_of(rows, units):
     units : Units
         Of the data set.
     """
-    said = {"unit": units.text(Unit.of(m=1)), "acceleration_unit": units.text(ACCELERATION)}
+    said = {"unit": units.text(METRE), "acceleration_unit": units.text(ACCELERATION)}
     if not rows:
         return Errors(**dict.fromkeys(METRICS, float("nan")), **said)
     with np.errstate(all="ignore"):  # a law that runs away has endless errors, and says so

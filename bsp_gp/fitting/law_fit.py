@@ -37,7 +37,7 @@ from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.force import ForceLaw, constant_units, needs_masses
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.randomness import Random, generator
-from bsp_gp.units import Unit
+from bsp_gp.units import METRE, Unit
 
 SCHEMA = "bsp_gp/fit/2"
 MAX_TOLD = 5
@@ -422,7 +422,7 @@ def about_noise(model, said, units):
     has_memory = model.correlated > 0
     return {
         "sigma": [float(level) for level in model.levels],
-        "unit": units.text(Unit.of(m=1)),
+        "unit": units.text(METRE),
         "source": said.source,
         "method": f"under the law: {model.describe()}" if is_estimated else said.method,
         "correlation_time": float(model.correlation_time) if has_memory else None,

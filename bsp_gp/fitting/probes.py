@@ -14,7 +14,7 @@ from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.engine.lowering import ORIGIN
 from bsp_gp.physics.force import Term
-from bsp_gp.units import Unit
+from bsp_gp.units import KILOGRAM, SECOND
 
 PROBE = "probe "
 """Names of the strengths of probes begin so: no constant of a law has a blank."""
@@ -67,11 +67,10 @@ def _shapes(is_moving, is_held):
 
 
 def _term(name, shape, wave, begin, span):
-    strength = Call("mul", Constant(name), Input("m_i", Type("scalar", Unit.of(kg=1))))
+    strength = Call("mul", Constant(name), Input("m_i", Type("scalar", KILOGRAM)))
     if wave:
-        second = Unit.of(s=1)
-        late = Call("sub", Input("t", STATE_INPUTS["t"]), Number(begin, second))
-        angle = Call("mul", Number(np.pi * wave / span, second**-1), late)
+        late = Call("sub", Input("t", STATE_INPUTS["t"]), Number(begin, SECOND))
+        angle = Call("mul", Number(np.pi * wave / span, SECOND**-1), late)
         strength = Call("mul", strength, Call("cos", angle))
     return Term(Call("mul", strength, shape), "field")
 

@@ -2,9 +2,7 @@
 
 from bsp_gp.errors import UnitError
 from bsp_gp.language.formula import Call, Number
-from bsp_gp.units import Unit
-
-_SECOND = Unit.of(s=1)
+from bsp_gp.units import SECOND
 
 
 def impulse(since, duration):
@@ -23,12 +21,12 @@ def impulse(since, duration):
     UnitError
         If the duration is no number of seconds above zero.
     """
-    is_time = isinstance(duration, Number) and duration.type.unit == _SECOND
+    is_time = isinstance(duration, Number) and duration.type.unit == SECOND
     if not (is_time and duration.value > 0):
         raise UnitError("impulse(when, duration) takes a duration in s above zero, a number")
-    half, second = Number(duration.value / 2, _SECOND), Number(1.0, _SECOND)
+    half, second = Number(duration.value / 2, SECOND), Number(1.0, SECOND)
     edges = [Call("sign", Call("div", Call(way, since, half), second)) for way in ("add", "sub")]
-    return Call("div", Call("sub", *edges), Number(2 * duration.value, _SECOND))
+    return Call("div", Call("sub", *edges), Number(2 * duration.value, SECOND))
 
 
 def impulse_of(node):
@@ -44,7 +42,7 @@ def impulse_of(node):
                 Number(value=twice),
             ),
         ):
-            duration = Number(twice / 2, _SECOND)
+            duration = Number(twice / 2, SECOND)
             is_one = twice > 0 and impulse(since, duration) == node
             return (since, duration.value) if is_one else None
     return None

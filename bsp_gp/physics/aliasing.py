@@ -8,7 +8,7 @@ import numpy as np
 from bsp_gp.data.scene import CHECK
 from bsp_gp.language.formula import Call, evaluate, walk
 from bsp_gp.language.render import to_text
-from bsp_gp.units import Unit
+from bsp_gp.units import SECOND
 
 WAVES = ("sin", "cos")
 SAME = 0.9
@@ -28,7 +28,7 @@ def aliasing_notes(law, scenes, units):
     scenes : sequence of Scene
         As they are fitted.
     """
-    second = units.text(Unit.of(s=1))
+    second = units.text(SECOND)
     grids = [_step(scene.times) for scene in scenes]
     for wave, label, speed in dict.fromkeys(_speeds(law, scenes[0].times)):
         pairs = zip(scenes, grids, strict=True)

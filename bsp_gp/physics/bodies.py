@@ -15,7 +15,7 @@ from bsp_gp.language.inputs import DIRECTIONS, input_types, property_of
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.geometry import Shapes, contact_point
 from bsp_gp.physics.series import Series
-from bsp_gp.units import ANGLES, DIMENSIONLESS, Unit
+from bsp_gp.units import ANGLES, DIMENSIONLESS, KILOGRAM
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,5 +335,5 @@ def dataset_types(dataset):
     types |= input_types_of(dataset)
     # A bare mass is always speakable: accelerations are what is fitted, and m_i may cancel.
     for name in ("m_i", "mass_i"):
-        types.setdefault(name, input_types({"mass": Unit.of(kg=1)})[name])
+        types.setdefault(name, input_types({"mass": KILOGRAM})[name])
     return types

@@ -26,7 +26,7 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.bodies import law_inputs, under
 from bsp_gp.physics.dynamics import simulated_scene
 from bsp_gp.physics.evaluation import PreparedLaw, Settling
-from bsp_gp.units import BASE, FORCE, Unit
+from bsp_gp.units import BASE, FORCE, METRE, SPEED, Unit
 
 HOLDING = ("constraint", "linkage", "wall")
 """Kinds of parts of what bodies do beside forces."""
@@ -141,8 +141,7 @@ class Unseen:
     @property
     def units(self):
         """Units of its constants by name."""
-        metre, speed = Unit.of(m=1), Unit.of(m=1, s=-1)
-        own = {**dict.fromkeys(self.places, metre), **dict.fromkeys(self.speeds, speed)}
+        own = {**dict.fromkeys(self.places, METRE), **dict.fromkeys(self.speeds, SPEED)}
         return {**own, **self.strength}
 
 

@@ -8,13 +8,12 @@ from bsp_gp.data.scene import Entity
 from bsp_gp.errors import DataError, LawError, in_python
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.evaluation import unknown_receivers
-from bsp_gp.units import Unit
+from bsp_gp.units import KILOGRAM
 
 NO_MASS = "no mass is known: constants are per unit mass of the body that moves"
 """Note on a data set without any mass."""
 ONE_KILOGRAM = "no mass is given: every body is taken as 1 kg"
 """How such a note begins where the data say what a unit of mass is."""
-_KILOGRAM = Unit.of(kg=1)
 
 
 def has_masses(dataset):
@@ -29,7 +28,7 @@ def are_units(dataset):
 
 def without_masses(dataset):
     """The note on a data set without any mass."""
-    if not dataset.units.is_calibrated(_KILOGRAM):
+    if not dataset.units.is_calibrated(KILOGRAM):
         return NO_MASS
     return in_python(
         f"{ONE_KILOGRAM}, and constants with kg or N in their units are those of such a body; "

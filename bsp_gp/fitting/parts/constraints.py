@@ -17,9 +17,8 @@ from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, added_units
-from bsp_gp.units import Unit
+from bsp_gp.units import METRE, SECOND, Unit
 
-LENGTH = Unit.of(m=1)
 MOST_ROWS, MOST_STARTS = 400, 36
 """Rows of a body that constants are first guessed from, and from how many values."""
 _POINT = re.compile(r"(?<![A-Za-z0-9_])\(([^()]*,[^()]*)\)")
@@ -192,7 +191,7 @@ def read_string(dataset, text):
         other = Input("m_j", types["m_j"])
         mass = Call("div", Call("mul", mass, other), Call("add", mass, other))
     along = Call("normalize", way.args[0])
-    lag = Number(2.0 / rate, Unit.of(s=1), f"{2.0 / rate:.6g} [s]")
+    lag = Number(2.0 / rate, SECOND, f"{2.0 / rate:.6g} [s]")
     pull = Call("add", formula, Call("mul", lag, Call("dot", speed, along)))
     taut = Call("add", Number(1.0), Call("sign", formula))
     stiffness = Number(-(rate**2) / 2, Unit.of(s=-2), f"{-(rate**2) / 2:.6g} [1/s^2]")
@@ -264,7 +263,7 @@ def _difference(dataset, text, sides):
     def length(digits):
         name = f"literal{len(literals)}"
         value = float(digits) * metres
-        literals[Constant(name)] = Number(value, LENGTH, f"{value:.6g} [m]")
+        literals[Constant(name)] = Number(value, METRE, f"{value:.6g} [m]")
         return name
 
     def point(match):
@@ -389,7 +388,7 @@ def _parameters(dataset, formula, axes, values):
     units = added_units(formula)
     return tuple(
         Parameter(
-            name, "", LENGTH if name in axes else units.get(name), start=float(values[name]),
+            name, "", METRE if name in axes else units.get(name), start=float(values[name]),
             prior=(float(middle[axes[name]]) if name in axes else size, size),
         )
         for name in formula.constants

@@ -8,9 +8,7 @@ from bsp_gp.language.impulse import impulse
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import ForceLaw, Term
-from bsp_gp.units import Unit
-
-SECOND, KILOGRAM = Unit.of(s=1), Unit.of(kg=1)
+from bsp_gp.units import KILOGRAM, SECOND
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,8 @@ from bsp_gp.language.formula import Call, Constant, Input, Number, substitute, w
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import Term
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.units import DIMENSIONLESS, SECOND
 
-SECOND = Unit.of(s=1)
 HELD = 4.0
 """Width of the normal that holds a place or a speed, in the scale of its prior."""
 P_I, P_J, V_I, V_J, ORIGIN = (

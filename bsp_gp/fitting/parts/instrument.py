@@ -9,16 +9,15 @@ from dataclasses import dataclass, replace
 from functools import reduce
 
 from bsp_gp.fitting.hypothesis import Parameter, Valued
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.units import DIMENSIONLESS, METRE, SECOND
 
-LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 LARGE = 0.3
 """A relative error or an angle beyond which nobody would believe a measurement."""
 ASIDE = 1.0
 """Half widths of the picture by which the middle of a lens may be off its own."""
 UNITS = {
-    "drift": LENGTH / TIME, "offset": LENGTH, "delay": TIME, "exposure": TIME**2,
-    "shutter": TIME / LENGTH, "zero": LENGTH, "zoom": DIMENSIONLESS / TIME,
+    "drift": METRE / SECOND, "offset": METRE, "delay": SECOND, "exposure": SECOND**2,
+    "shutter": SECOND / METRE, "zero": METRE, "zoom": DIMENSIONLESS / SECOND,
 }  # fmt: skip
 TEXTS = {
     "scale": "x = (1 + {}) X", "clock": "t = (1 + {}) T", "tilt": "x = R({}) X",

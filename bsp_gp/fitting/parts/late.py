@@ -3,9 +3,7 @@
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Parameter, Part
-from bsp_gp.units import Unit
-
-SECOND = Unit.of(s=1)
+from bsp_gp.units import SECOND
 
 
 @dataclass(frozen=True)

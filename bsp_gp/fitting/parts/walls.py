@@ -10,11 +10,10 @@ from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Numbered, Parameter
 from bsp_gp.language.formula import Number
 from bsp_gp.language.parse import parse_formula
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.units import DIMENSIONLESS, METRE
 
 _CALL = re.compile(r"\s*bounce\s*\((.*)\)\s*", re.DOTALL)
 _SIDE = re.compile(r"\s*([xyz])_i\s*([<>])\s*([^\s<>,\[\]]+(?:\s*\[[^\[\]]*\])?)\s*")
-LENGTH = Unit.of(m=1)
 TILTED = 0.05
 """Radians by which a wall is likely to stand askew of an axis."""
 MOST_TILT = 0.5
@@ -94,7 +93,7 @@ def wall_of(names, axis, side, n_dims, values, extent):
     usual = (0.0, START, 1.0, 0.0)
     values = [*values, *usual[len(values) :]]
     numbers = (
-        Parameter(names[0], "", LENGTH, start=values[0], prior=(values[0], extent)),
+        Parameter(names[0], "", METRE, start=values[0], prior=(values[0], extent)),
         Parameter(names[1], "", DIMENSIONLESS, 0.0, HIGHEST, values[1], (START, 0.5)),
         *(
             Parameter(name, "", DIMENSIONLESS, low, high, start, prior)
@@ -118,7 +117,7 @@ def _place(dataset, text, number, axis):
         place, why = parse_formula(number, {}, units=dataset.units), ""
     except LawError as error:
         place, why = None, f"; {error}"
-    if not isinstance(place, Number) or place.type.unit != LENGTH:
+    if not isinstance(place, Number) or place.type.unit != METRE:
         raise LawError(
             f"{text!r}: the place {number!r} is neither a name nor a length, as in "
             f"{axis}_i > 0.12 [m]{why}"
