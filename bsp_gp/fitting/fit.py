@@ -440,13 +440,17 @@ class _Run:
         may_be = model.correlated and not model.is_correlation_known and not self.is_over()
         return may_be and minimum.status == "unconverged" and before.status == "converged"
 
+    @property
+    def dof(self):
+        """Rows beyond those that the parameters use up, one at least."""
+        return max(int(self.channels.seen.sum()) - len(self.parameters), 1)
+
     def resolved(self, model, minimum):
         """The noise of exact data: rounding, or what a law leaves that misses them by little more.
 
         What is left beyond that is no noise, and refutes the law.
         """
-        dof = max(int(self.channels.seen.sum()) - len(self.parameters), 1)
-        levels = np.array(model.levels) * max(np.sqrt(minimum.chisqr / dof), 1.0)
+        levels = np.array(model.levels) * max(np.sqrt(minimum.chisqr / self.dof), 1.0)
         if not np.nanmax(levels) <= RESOLUTION * self.extent:
             return model
         return replace(model, levels=tuple(map(float, levels)))
@@ -485,8 +489,7 @@ class _Run:
 
     def has_misfit(self, minimum):
         """Whether more is left than the noise that was assumed."""
-        dof = max(int(self.channels.seen.sum()) - len(self.parameters), 1)
-        return minimum.chisqr > MISFIT * dof
+        return minimum.chisqr > MISFIT * self.dof
 
     def noise_beside(self, climb, minimum, paper_steps):
         """The noise, told from what the law lacks by forces that know no physics."""

@@ -14,7 +14,7 @@ from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.radian import RADIAN
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import FRAMING, ForceLaw, Term, constant_units, tabled
+from bsp_gp.physics.force import FRAMING, ForceLaw, Term, tabled
 from bsp_gp.units import ACCELERATION, FORCE, Unit
 
 NOTHING = "nothing"
@@ -141,9 +141,7 @@ class Forces(Part):
     @property
     def parameters(self):
         """The constants of the law."""
-        units = {}
-        for term in self.law.terms:
-            units.update(constant_units(term))
+        units = self.law.constant_units
         held = {p.name: p for part in self.law.frame for p in part.parameters}
         at = {name: self.law.constants.get(name, math.nan) for name in held}
         out = [p if math.isnan(at[p.name]) else replace(p, start=at[p.name]) for p in held.values()]

@@ -34,7 +34,7 @@ from bsp_gp.fitting.rests import without_rests
 from bsp_gp.fitting.weighing import bears_outliers
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
-from bsp_gp.physics.force import ForceLaw, constant_units, needs_masses
+from bsp_gp.physics.force import ForceLaw, needs_masses
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.randomness import Random, generator
 from bsp_gp.units import METRE, Unit
@@ -355,10 +355,7 @@ def constant_estimates(found, dataset, bounds=None):
     bounds, wider = bounds or {}, widening(found)
 
     dof = max(found.n_rows - found.n_free, 1) if found.noise.is_free.any() else math.inf
-    units = {}
-    for term in found.law.terms:
-        for name, unit in constant_units(term).items():
-            units[name] = dataset.units.text(unit)
+    units = {n: dataset.units.text(unit) for n, unit in found.law.constant_units.items()}
     priors, positive = {}, set()
     for part in found.law.frame:
         text = Unit.text if getattr(part, "is_absolute", False) else dataset.units.text

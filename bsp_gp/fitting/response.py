@@ -26,14 +26,13 @@ from bsp_gp.fitting.shooting import known_states
 from bsp_gp.fitting.tracks import chain_noises
 from bsp_gp.fitting.unseen import as_driven
 from bsp_gp.fitting.weighing import as_normal, bears_outliers, to_begin_with
-from bsp_gp.language.formula import evaluate
-from bsp_gp.physics.bodies import law_inputs, stack, subset, under
+from bsp_gp.physics.bodies import stack, subset, under
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.engine.walls import walls_of
-from bsp_gp.physics.evaluation import Instants, Settling
+from bsp_gp.physics.evaluation import Instants
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
 from bsp_gp.threads import one_thread
 
@@ -214,20 +213,11 @@ class ResponseRegression(Regression):
                 self._known[term] = super().column(term, False, cache)
                 self._known[term][0].flags.writeable = False
             return self._known[term]
-        names = self.receiver_names()
-        parts = [[] for _ in names]
-        for batch in self.batches:
-            lookup = law_inputs(
-                term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
-            )
-            value = Settling(term, batch.bodies, True)(
-                evaluate(term.acceleration_formula, lookup), batch.target.shape
-            )
-            value = checked(value, batch)
-            for part, name in zip(parts, names, strict=True):
-                mine = np.array([[n == name for n in row] for row in batch.bodies.receiver_names])
-                part.append(batch.whiten(value * mine[..., None]))
-        return np.stack([self._flat(part) for part in parts], axis=1), names
+        columns = [
+            self._flat(b.whiten(value) for b, value in zip(self.batches, own, strict=True))
+            for own in self._by_receiver(list(self._accelerations(term, True)))
+        ]
+        return np.stack(columns, axis=1), self.receiver_names()
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ in a step or two, however long the track.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -292,14 +293,11 @@ class Shooting:
             floor = np.stack([places, places / np.abs(flow.length)])
         return np.where(np.abs(gaps) <= floor[:, None, None], 0.0, gaps)
 
-    @property
+    @cached_property
     def groups(self):
         """Windows of like length together, so that little is padded: lists of window numbers."""
-        if not hasattr(self, "_groups"):
-            length = self.windows.length
-            sizes = np.ceil(np.log2(np.maximum(length, 1)) * 2).astype(int)
-            self._groups = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
-        return self._groups
+        sizes = np.ceil(np.log2(np.maximum(self.windows.length, 1)) * 2).astype(int)
+        return [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
 
     def _begun(self, group, values, nodes):
         """How first nodes hang on themselves or, of bodies without rows, on constants."""

@@ -254,6 +254,16 @@ class ForceLaw:
         """
         return PreparedLaw(self, bodies, values).acceleration(positions, velocities, times)
 
+    @property
+    def constant_units(self):
+        """Units of the constants of its terms, by name."""
+        return {name: unit for term in self.terms for name, unit in constant_units(term).items()}
+
+    @property
+    def shared(self):
+        """Constants with one value, by name."""
+        return {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
+
     def is_per_entity(self, term):
         """Whether a constant of the term has one value per receiver."""
         return any(
@@ -262,7 +272,7 @@ class ForceLaw:
         )
 
     def __repr__(self):
-        shared = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
+        shared = self.shared
         own = [k for k in self.constants if k not in shared]
         lines = [f"ForceLaw: F_i = {self.text(digits=False)}"]
         lines += [f"  {', '.join(f'{k} = {v:.4g}' for k, v in shared.items())}"] if shared else []
@@ -296,8 +306,8 @@ class ForceLaw:
 
     def text(self, digits=True, units=None):
         """The law as text; with `digits`, constants are written as numbers."""
-        values = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
-        parts = [to_text(t.formula, values if digits else {}, units or {}) for t in self.terms]
+        values = self.shared if digits else {}
+        parts = [to_text(t.formula, values, units or {}) for t in self.terms]
         parts = [re.sub(r"^--(?=\d)", "", part) for part in parts]  # minus a negative constant
         total = " + ".join(parts).replace("+ -", "- ") if parts else "0"
         total = _as_torques(total)
@@ -306,10 +316,9 @@ class ForceLaw:
 
     def latex(self, digits=True, units=None):
         """The law typeset as LaTeX."""
-        values = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
-        parts = []
+        values, parts = self.shared if digits else {}, []
         for term in self.terms:
-            body = to_latex(term.formula, values if digits else {}, units or {})
+            body = to_latex(term.formula, values, units or {})
             body = re.sub(r"^--(?=\d)", "", body)
             if term.kind == "pair":  # the sign stands before the sum
                 sign, body = ("- ", body[1:].lstrip()) if body.startswith("-") else ("", body)
@@ -546,5 +555,5 @@ def needs_masses(law):
     units = []
     for term in law.terms:
         units += [n.type.unit for n in walk(term.formula) if isinstance(n, Number)]
-        units += constant_units(term).values()
+    units += law.constant_units.values()
     return any(isinstance(unit, Unit) and unit.exponents[kg] for unit in units)
