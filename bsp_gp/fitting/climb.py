@@ -126,7 +126,6 @@ class Climb:
         return bases
 
     def with_noises(self, noises):
-        """The same under another noise."""
         return Climb(self.run, noises, self.scales, self.paper_steps)
 
     # --- levels ---------------------------------------------------------------------------------
@@ -547,7 +546,6 @@ class Climb:
 
     @property
     def box(self):
-        """Bounds of the unknowns."""
         return self.run.low, self.run.high
 
     # --- starts ---------------------------------------------------------------------------------
@@ -575,7 +573,6 @@ class Climb:
         return _unlike(points)[: run.most_starts]
 
     def _read_off(self):
-        """Nodes off the data, of every group."""
         nodes = tuple(first_nodes(chains, self.is_coarse) for chains in self.run.groups)
         if self.paper_steps:
             return tuple(map(stepped_nodes, self.run.groups, nodes))

@@ -84,7 +84,6 @@ class Coordinates:
         return constants, slopes
 
     def unknowns(self, constants):
-        """The inverse of `constants`."""
         unknowns = np.array(constants, dtype=float)
         for rows, powers in self._rules:
             with np.errstate(all="ignore"):

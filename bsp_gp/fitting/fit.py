@@ -548,7 +548,6 @@ class _Run:
 
     @cached_property
     def motions(self):
-        """The law on every group."""
         return tuple(Motion(self.law, chains, self.parameters) for chains in self.groups)
 
     @cached_property

@@ -50,7 +50,6 @@ class FixedForces(Forces):
 
     @property
     def parameters(self):
-        """What is not known."""
         return self.own
 
 
@@ -198,7 +197,6 @@ def _begun(law, dataset, scenes, measured):
 
 
 def _only(scene, kept):
-    """The scene with these entities alone."""
     fields = ("positions", "velocities", "sigma")
     arrays = {name: getattr(scene, name) for name in fields}
     arrays = {name: None if a is None else a[:, kept] for name, a in arrays.items()}

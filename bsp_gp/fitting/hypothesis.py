@@ -90,7 +90,6 @@ class Part:
         return groups
 
     def describe(self):
-        """One sentence for people."""
         raise NotImplementedError
 
 
@@ -99,12 +98,10 @@ class Numbered(Part):
 
     @property
     def names(self):
-        """Of its constants."""
         return tuple(p.name for p in self.numbers)
 
     @property
     def parameters(self):
-        """The numbers."""
         return self.numbers
 
     def at(self, values):
@@ -140,7 +137,6 @@ class Forces(Part):
 
     @property
     def parameters(self):
-        """The constants of the law."""
         units = self.law.constant_units
         held = {p.name: p for part in self.law.frame for p in part.parameters}
         at = {name: self.law.constants.get(name, math.nan) for name in held}
@@ -154,7 +150,6 @@ class Forces(Part):
         return tuple(out)
 
     def describe(self):
-        """The law as typed."""
         return f"F_i = {self.law.text(digits=False)}"
 
 
@@ -165,7 +160,6 @@ class Positions(Part):
     kind = "instrument"
 
     def describe(self):
-        """In words."""
         return "positions are measured"
 
 
@@ -191,11 +185,9 @@ class TrackNoise(Part):
 
     @property
     def parameters(self):
-        """What is estimated."""
         return tuple(p for p in self.model.parameters if p.is_free)
 
     def describe(self):
-        """In words."""
         return self.model.describe()
 
 
@@ -258,7 +250,6 @@ class Hypothesis:
 
     @property
     def noise(self):
-        """The NoiseModel."""
         return next(part.model for part in self.parts if isinstance(part, TrackNoise))
 
     @property
@@ -306,7 +297,6 @@ class Hypothesis:
         return dataset
 
     def describe(self):
-        """One line per part."""
         return "\n".join(part.describe() for part in self.parts)
 
 

@@ -264,7 +264,6 @@ class NoiseModel:
         return tuple(found)
 
     def describe(self):
-        """One line for people."""
         axes = zip("xyz", self.levels, self.sources, strict=False)
         per, unit, kind = 1.0, "m", ""
         if self.adding:

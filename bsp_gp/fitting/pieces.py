@@ -67,14 +67,12 @@ class Pieces:
         return out
 
     def chains(self, chains):
-        """The pieces as chains of their own."""
         cut = chains.pieces(self.chain, self.first, self.stop + self.leads)
         rows, _ = self._gather
         seen = (rows < self.stop)[..., None, None]
         return replace(cut, observed=np.where(seen, cut.observed, np.nan))
 
     def noise(self, noise):
-        """The noise of their rows."""
         rows, inside = self._gather
         inside_ = (inside & (rows < self.stop))[..., None, None]
         return ChainNoise(

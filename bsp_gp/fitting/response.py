@@ -129,7 +129,6 @@ class ResponseBatch(RegressionBatch):
         return self.moments[..., None, None]
 
     def whitened_residual(self, predicted):
-        """Moments less those of predicted accelerations."""
         return self.whitened_target() - self.whiten(predicted)
 
 
@@ -141,7 +140,6 @@ class ResponseRegression(Regression):
         return {}
 
     def in_plane(self, matrix):
-        """Batch by batch, see `ResponseBatch.in_plane`."""
         return replace(self, batches=tuple(batch.in_plane(matrix) for batch in self.batches))
 
     def scaled(self, scale):

@@ -496,7 +496,6 @@ class Shooting:
 
     @property
     def n_blocks(self):
-        """Windows in all groups."""
         return sum(map(len, self.groups))
 
     def chains_of(self, chosen):

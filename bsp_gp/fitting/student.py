@@ -103,7 +103,6 @@ def fit_degrees(z, start):
 
 
 def _log_student(z, degrees):
-    """Logarithm of the density of Student's t."""
     half = 0.5 * (degrees + 1.0)
     norm = gammaln(half) - gammaln(0.5 * degrees) - 0.5 * math.log(degrees * math.pi)
     return norm - half * np.log1p(np.square(z) / degrees)

@@ -130,7 +130,6 @@ class TrackProblem:
         self.ridge = ridge
 
     def values(self, point):
-        """Shared unknowns of a point."""
         return point.values
 
     def linearise(self, point):

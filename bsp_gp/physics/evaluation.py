@@ -163,7 +163,6 @@ def _follow(plan, values, lookup):
 
 
 def _contacts_of(formula):
-    """Contacts among the factors of a formula."""
     if not isinstance(formula, Call):
         return ()
     if formula.operator in CONTACTS:

@@ -315,7 +315,6 @@ class ForceLaw:
         return ", ".join([total, *(p.describe() for p in held)])
 
     def latex(self, digits=True, units=None):
-        """The law typeset as LaTeX."""
         values, parts = self.shared if digits else {}, []
         for term in self.terms:
             body = to_latex(term.formula, values, units or {})

@@ -28,7 +28,6 @@ class Shapes:
         )
 
     def map(self, change):
-        """The same with every array changed."""
         return Shapes(*map(change, (self.code, self.radius, self.width, self.height)))
 
     def __getitem__(self, index):

@@ -38,7 +38,6 @@ class Series:
 
     @property
     def names(self):
-        """Of the inputs, tuple of str."""
         return tuple(dict.fromkeys(name for name, _, _ in self.curves))
 
     def at(self, name, scenes, bodies, times):

@@ -59,7 +59,6 @@ class ReportFigure:
 
     @functools.cached_property
     def svg(self):
-        """The figure as SVG text."""
         return svg_text(self.figure)
 
     @functools.cached_property

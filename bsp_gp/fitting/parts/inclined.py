@@ -32,7 +32,6 @@ class Inclined(Valued):
 
     @property
     def own(self):
-        """Where a fit begins, by name."""
         return dict(zip(self.names, self.values, strict=True))
 
     @property
@@ -59,7 +58,6 @@ class Inclined(Valued):
         return np.eye(2) + (1 / math.cos(inclination) - 1) * np.outer(across, across)
 
     def describe(self):
-        """Formula-like."""
         return "x = X cos(inclination) across the line of nodes"
 
 

@@ -86,7 +86,6 @@ class Instrument(Valued):
 
     @property
     def parameters(self):
-        """One per name."""
         unit, values = UNITS.get(self.code, DIMENSIONLESS), self.values or (0.0,) * len(self.names)
         ends = [(self.lowest, self.limit)] * len(self.names)
         if self.code == "decentred":
@@ -129,7 +128,6 @@ class Instrument(Valued):
         return reduce(g.add, here)
 
     def describe(self):
-        """Formula-like."""
         each = " in each scene" if len(self.whose) > 1 else ""
         shown = self.names[: max(len(self.axes), 1)] if each else self.names
         return TEXTS[self.code].format(", ".join(shown)) + each

@@ -26,12 +26,10 @@ class Late(Part):
 
     @property
     def names(self):
-        """Of its number."""
         return ("_".join(("delay", *self.inputs)),)
 
     @property
     def parameters(self):
-        """The delay."""
         return (Parameter(*self.names, "", SECOND, -self.limit, self.limit, self.value),)
 
     def at(self, values):
@@ -39,6 +37,5 @@ class Late(Part):
         return replace(self, value=float(values[self.names[0]]))
 
     def describe(self):
-        """Formula-like."""
         (name,) = self.names
         return ", ".join(f"{each} acts as logged at t - {name}" for each in self.inputs)

@@ -16,7 +16,6 @@ class About:
 
     @property
     def pull(self):
-        """Mean and standard deviation."""
         return self.mean, self.spread
 
 
@@ -54,7 +53,6 @@ class Properties(Valued):
 
     @property
     def columns(self):
-        """Of the properties."""
         return self.latents.columns
 
     @property
@@ -64,12 +62,10 @@ class Properties(Valued):
 
     @property
     def starts(self):
-        """Where a fit begins."""
         return self.values or tuple(float(item.prior.ppf(0.5)) for item in self.latents.items)
 
     @property
     def parameters(self):
-        """One per number."""
         units, out = dict(self.units), []
         for item, start in zip(self.latents.items, self.starts, strict=True):
             prior, ends = item.prior, (float(item.prior.low), float(item.prior.high))
@@ -94,7 +90,6 @@ class Properties(Valued):
         return self.latents.filled(scenes, self.starts)
 
     def seen(self, dataset):
-        """The same of a data set."""
         return replace(dataset, scenes=self.filled(dataset.scenes))
 
     def describe(self):

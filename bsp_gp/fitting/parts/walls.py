@@ -57,7 +57,6 @@ class Wall(Numbered):
         return values[2] if len(self.numbers) > 2 else 1.0
 
     def describe(self):
-        """As it is typed."""
         return (
             f"bounce({'xyz'[self.axis]}_i {'>' if self.side > 0 else '<'} {', '.join(self.names)})"
         )

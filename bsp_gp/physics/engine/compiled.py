@@ -67,7 +67,6 @@ class Compiled:
         return plans, base
 
     def _load(self, number, name, axis):
-        """Kind and number of an input."""
         if name == "t":
             return kernel.TIME, 0
         if name == "mode":

@@ -78,7 +78,6 @@ class Held:
         return getattr(self.graph, name)
 
     def input(self, name, axis=None):
-        """As that of the graph."""
         return self.velocity[axis] if name == "v_i" else self.graph.input(name, axis)
 
     def acceleration(self, free):

@@ -86,7 +86,6 @@ class Graph:
         return self._numbers[node]
 
     def number(self, value):
-        """A fixed number."""
         return self._intern("number", float(value))
 
     def input(self, name, axis=None):
@@ -94,11 +93,9 @@ class Graph:
         return self._intern("input", (name, axis))
 
     def constant(self, name):
-        """A constant of the law."""
         return self._intern("constant", name)
 
     def has_constant(self, name):
-        """Whether a constant has been named."""
         return ("constant", name) in self._numbers
 
     def value_of(self, node):
@@ -192,14 +189,12 @@ class Graph:
         return self._fold(op, *args)
 
     def sum(self, nodes):
-        """Sum of nodes, left to right."""
         total = self.zero
         for node in nodes:
             total = self.add(total, node)
         return total
 
     def dot(self, a, b):
-        """Scalar product of two tuples of nodes."""
         return self.sum(
             self.call("square", x) if x == y else self.mul(x, y) for x, y in zip(a, b, strict=True)
         )

@@ -62,7 +62,6 @@ class Points:
         return replace(self, state=state)
 
     def pick(self, index):
-        """Some of the points."""
         return Points(
             self.state[..., index],
             self.times[index],
@@ -541,12 +540,10 @@ class Motion:
         return still, still & ((creeping * way).sum(axis=1, keepdims=True) <= 0), creeping
 
     def _free_acceleration(self, points):
-        """Accelerations without constraints."""
         total = self._pushed(points)
         return self.linkages.accelerations(total, points) if self.linkages else total
 
     def _pushed(self, points):
-        """Forces over masses."""
         if self.compiled:
             return self.compiled.accelerations(points)
         _, n_own, n_dims, n_points = points.state.shape

@@ -32,7 +32,6 @@ class Frame:
         return getattr(self.graph, name)
 
     def input(self, name, axis=None):
-        """As that of the graph."""
         true = self._state.get(name)
         return self.graph.input(name, axis) if true is None else true[axis or 0]
 
