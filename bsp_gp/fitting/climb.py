@@ -234,8 +234,7 @@ class Climb:
             known[missing] = 0.0
             known = regressed(self.flows, nodes, self.noises, known, list(missing))
         point = TrackPoint(self.coordinates.unknowns(known), nodes)
-        problem = self.at(None, point)
-        end = self._joined(self._minimise(problem, point, WHOLE), problem)
+        end = self._whole_from(point)
         is_end = end.linearised is not None and end.status != "unconverged"
         return end if is_end else None
 
@@ -305,8 +304,7 @@ class Climb:
                 if found.linearised is None:
                     break
                 minimum = found
-            problem = self.at(None, minimum.point)
-            ends.append(self._joined(self._minimise(problem, minimum.point, WHOLE), problem))
+            ends.append(self._whole_from(minimum.point))
             if self.run.is_over() or self._is_enough(ends):
                 break
         return ends
@@ -321,9 +319,7 @@ class Climb:
                 end = self._vouched(self.levels(), point)
                 if end is not None:
                     return [end]
-            grown = grow(self, point, rank)
-            problem = self.at(None, grown)
-            ends.append(self._joined(self._minimise(problem, grown, WHOLE), problem))
+            ends.append(self._whole_from(grow(self, point, rank)))
         return ends
 
     def _climbed(self, points):
@@ -405,6 +401,11 @@ class Climb:
         if end.linearised is None:
             return replace(end, point=lead.point, values=lead.values)
         return end
+
+    def _whole_from(self, point):
+        """The minimum of whole tracks that a point leads to."""
+        problem = self.at(None, point)
+        return self._joined(self._minimise(problem, point, WHOLE), problem)
 
     def _joined(self, minimum, problem):
         """A minimum of whole tracks; one whose intervals do not join is none."""
@@ -505,7 +506,7 @@ class Climb:
         goes; while they are wide, what it foresees of a small step is less than what it neglects,
         and it stalls. Where it stalls higher and higher, they do not join.
         """
-        low, high = self.box
+        low, high = self.run.low, self.run.high
         is_whole = settings is WHOLE
         if is_whole:
             settings = replace(WHOLE, hopeless=self.hopeless)
@@ -543,10 +544,6 @@ class Climb:
         seen = np.isfinite(variance)
         left = float(np.sum(np.square(near.residual[seen]) / variance[seen]))
         return HOPELESS * left if 0 < left < math.inf else math.inf
-
-    @property
-    def box(self):
-        return self.run.low, self.run.high
 
     # --- starts ---------------------------------------------------------------------------------
 

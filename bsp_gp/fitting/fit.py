@@ -26,7 +26,7 @@ from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.fitting.tracks import chain_noises
 from bsp_gp.fitting.weighing import bears_outliers, informed, to_begin_with, weighed
-from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.chains import build_chains, spread
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.linked import is_held
 from bsp_gp.physics.engine.motion import Motion
@@ -317,7 +317,7 @@ class _Run:
     def _starts(self, hypothesis, starts):
         """Where parameters begin, (name, entity) -> float, as far as it is known."""
         names = {p.name for p in hypothesis.parameters}
-        _check_names("start", {_name(key) for key in starts}, names)
+        _check_names("start", {k[0] if isinstance(k, tuple) else k for k in starts}, names)
         given = {}
         for parameter, pair in zip(hypothesis.parameters, self.parameters, strict=True):
             known = self.law.constants.get(parameter.name, np.nan)
@@ -387,7 +387,7 @@ class _Run:
 
     @property
     def extent(self):
-        return max(float(np.nanmax(np.ptp(_filled(g.observed), axis=0))) for g in self.groups)
+        return max(float(spread(g.observed).max()) for g in self.groups)
 
     @property
     def is_exact(self):
@@ -570,10 +570,12 @@ class _Run:
 
     def left_at(self, climb, minimum):
         """What every row is at a minimum, and observed less predicted, (T, C)."""
-        nodes = minimum.point.nodes
-        speeds = join(np.moveaxis(own[1], (-2, -1), (0, 1)) for own in nodes)
-        left = join(_left_at(climb, minimum))
-        return replace(self.channels, speed=np.abs(speeds)), left
+        return self.channels_at(minimum), join(_left_at(climb, minimum))
+
+    def channels_at(self, minimum):
+        """The channels with the speeds of a minimum."""
+        speeds = join(np.moveaxis(own[1], (-2, -1), (0, 1)) for own in minimum.point.nodes)
+        return replace(self.channels, speed=np.abs(speeds))
 
     @property
     def is_noise_estimated(self):
@@ -679,10 +681,10 @@ def _left_at(climb, minimum):
 
 
 def _tracks_of(run, climb, minimum):
-    residuals, whitened, locals_, shareds, variances, speeds = [], [], [], [], [], []
+    residuals, whitened, locals_, shareds, variances = [], [], [], [], []
     n_most = max(s.flow.n_state for s in climb.problem.shootings)
-    for shooting, nodes, noise, left, parts in zip(
-        climb.problem.shootings, minimum.point.nodes, climb.noises, _left_at(climb, minimum),
+    for shooting, noise, left, parts in zip(
+        climb.problem.shootings, climb.noises, _left_at(climb, minimum),
         minimum.linearised.condensed if minimum.linearised else [()] * len(run.groups),
         strict=True,
     ):  # fmt: skip
@@ -695,9 +697,8 @@ def _tracks_of(run, climb, minimum):
         locals_.append(own)
         shareds.append(shared)
         variances.append(noise.variance)
-        speeds.append(np.abs(np.moveaxis(nodes[1], (-2, -1), (0, 1))))
     return _Tracks(
-        replace(run.channels, speed=join(speeds)), join(residuals), join(whitened),
+        run.channels_at(minimum), join(residuals), join(whitened),
         np.nan_to_num(join(locals_)), np.nan_to_num(join(shareds)), join(variances),
     )  # fmt: skip
 
@@ -769,10 +770,6 @@ def _same_noise(new, old):
     return bool(np.all(np.abs(a - b)[both] <= 1e-3 * b[both]))
 
 
-def _name(key):
-    return key[0] if isinstance(key, tuple) else key
-
-
 def _check_names(what, given, names):
     unknown = sorted(set(given) - names)
     if unknown:
@@ -780,8 +777,3 @@ def _check_names(what, given, names):
             f"{what} of {', '.join(unknown)}: the law has no such constant; it has "
             f"{', '.join(sorted(names)) or 'none'}"
         )
-
-
-def _filled(values):
-    """Values with gaps at the mean, for extents."""
-    return np.where(np.isfinite(values), values, np.nanmean(values))

@@ -156,7 +156,8 @@ def grow(climb, point, rank=0):
         n_rows = sum(int((stop - first).sum()) for first, stop in places)
         is_lost = not chisqr < LOST * n_rows
         if is_lost and followed is not None:
-            is_single = share * _longest(followed[2]) < 1
+            longest = max(int((stop - first).max()) for first, stop in followed[2])
+            is_single = share * longest < 1
             values, kept, places = followed
             nodes, share = [own.copy() for own in kept], share / 2
         else:
@@ -173,11 +174,6 @@ def grow(climb, point, rank=0):
             _begin_next(climb, values, nodes, places)
         else:
             return TrackPoint(values, tuple(nodes))
-
-
-def _longest(places):
-    """Most rows of a chain between `places`."""
-    return max(int((stop - first).max()) for first, stop in places)
 
 
 def _is_whole(places, groups, begun):
@@ -250,7 +246,7 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
         variance[~np.isfinite(cut.times)] = np.nan
         shootings.append(Shooting(flow, ChainNoise(cut.times, variance), cut_windows(cut.lengths)))
         own.append(full[..., rows, chain])
-    low, high = (values, values) if is_held else climb.box
+    low, high = (values, values) if is_held else (run.low, run.high)
     problem = TrackProblem(shootings, (None,) * len(own), climb.coordinates, ridge)
     point = problem.upon(np.clip(values, low, high), tuple(own))
     problem = problem.with_meshes(point)

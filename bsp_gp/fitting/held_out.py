@@ -141,10 +141,9 @@ def predictions(found, dataset, scenes, *, deadline=None):
         tolerance = _tolerance(found, chains)
         nodes = roll(found.law, chains, first, tolerance, found.paper_steps)
         seen = sight(flow_of(found.law, chains, tolerance, found.paper_steps), nodes).places
-        for s, (scene, members) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
-            for r, name in enumerate(members):
-                track = tracks[scene]
-                track[:, bodies[scene].index(name)] = seen[: len(track), s, r]
+        for scene, name, s, r in chains.members():
+            track = tracks[scene]
+            track[:, bodies[scene].index(name)] = seen[: len(track), s, r]
     for scene in scenes:
         tracks[scene.name][:, _is_late(dataset, scene, measured)] = np.nan
     return [tracks[scene.name] for scene in scenes]
@@ -221,8 +220,7 @@ def _states_of(head):
     return {
         (scene, name): nodes[:, r, :, 0, s]
         for chains, nodes in zip(head.groups, head.nodes, strict=True)
-        for s, (scene, members) in enumerate(zip(chains.scenes, chains.bodies, strict=True))
-        for r, name in enumerate(members)
+        for scene, name, s, r in chains.members()
     }
 
 

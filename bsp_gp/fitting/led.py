@@ -38,13 +38,11 @@ def led_by(groups, found):
 
 def _seen(groups):
     """Times and measured places of the bodies that forces move, by scene and body."""
-    out = {}
-    for chains in groups:
-        for s, (scene, bodies) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
-            n = int(chains.lengths[s])
-            for r, body in enumerate(bodies):
-                out[scene, body] = chains.times[:n, s], chains.observed[:n, s, r]
-    return out
+    return {
+        (scene, body): (chains.times[:n, s], chains.observed[:n, s, r])
+        for chains in groups for scene, body, s, r in chains.members()
+        for n in [int(chains.lengths[s])]
+    }  # fmt: skip
 
 
 def are_led(chains, moving):
@@ -62,22 +60,21 @@ def _tracks(found, seen):
     for chains, nodes in zip(found.groups, found.nodes, strict=True):
         if nodes.shape[-2] != len(chains.times):  # it is known at other rows
             continue
-        for s, (scene, bodies) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
+        for scene, body, s, r in chains.members():
             n = int(chains.lengths[s])
             if n < np.isfinite(chains.driven_times[:, s]).sum():  # others are led for longer
                 continue
-            for r, body in enumerate(bodies):
-                times, places = seen.get((scene, body), (None, None))
-                states = np.moveaxis(nodes[:, r, :, :n, s], 1, 2)
-                if times is None or not np.array_equal(times, chains.times[:n, s]):
-                    continue
-                rows = np.isfinite(places).all(axis=1)
-                moving = np.ptp(places[rows], axis=0) > 0 if rows.any() else np.zeros(1, dtype=bool)
-                if rows.sum() < LEAST_ROWS or not moving.any() or not np.isfinite(states).all():
-                    continue
-                error, off = scatter(places), (states[0] - places)[rows][:, moving]
-                if np.sqrt(np.mean(np.square(off))) <= NEAR * error:
-                    out[scene, body] = states, error
+            times, places = seen.get((scene, body), (None, None))
+            states = np.moveaxis(nodes[:, r, :, :n, s], 1, 2)
+            if times is None or not np.array_equal(times, chains.times[:n, s]):
+                continue
+            rows = np.isfinite(places).all(axis=1)
+            moving = np.ptp(places[rows], axis=0) > 0 if rows.any() else np.zeros(1, dtype=bool)
+            if rows.sum() < LEAST_ROWS or not moving.any() or not np.isfinite(states).all():
+                continue
+            error, off = scatter(places), (states[0] - places)[rows][:, moving]
+            if np.sqrt(np.mean(np.square(off))) <= NEAR * error:
+                out[scene, body] = states, error
     return out
 
 

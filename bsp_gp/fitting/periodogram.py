@@ -5,6 +5,7 @@ from scipy.signal import zoom_fft
 
 from bsp_gp.fitting.channels import join
 from bsp_gp.language.formula import Call, walk
+from bsp_gp.physics.engine.chains import spread
 
 OVERSAMPLING = 4
 MOST_RATES = 8
@@ -95,8 +96,7 @@ def rates_in(formula):
 
 def longest(found):
     """Seconds from the first to the last row of the longest track of a fit."""
-    times = found.channels.times
-    return float(np.max(np.nanmax(times, axis=0) - np.nanmin(times, axis=0)))
+    return float(spread(found.channels.times).max())
 
 
 def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):

@@ -157,8 +157,7 @@ class Pieces:
 
 def _moving(chains):
     """Bodies that forces move, (scene, name)."""
-    owners = zip(chains.scenes, chains.bodies, strict=True)
-    return {(scene, name) for scene, bodies in owners for name in bodies}
+    return {(scene, name) for scene, name, *_ in chains.members()}
 
 
 def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):

@@ -27,6 +27,7 @@ from bsp_gp.fitting.tracks import chain_noises
 from bsp_gp.fitting.unseen import as_driven
 from bsp_gp.fitting.weighing import as_normal, bears_outliers, to_begin_with
 from bsp_gp.physics.bodies import stack, subset, under
+from bsp_gp.physics.engine.chains import spread
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
@@ -754,8 +755,7 @@ class _Group:
         if not leads.any():
             return None
         if self.noise.amplitude.any():  # across pieces a memory is not followed
-            lasts = np.nanmax(self.fine.times, axis=0) - np.nanmin(self.fine.times, axis=0)
-            if lasts[leads].min() < MEMORIES * self.noise.correlation_time:
+            if spread(self.fine.times)[leads].min() < MEMORIES * self.noise.correlation_time:
                 return None
         links = link(self.pieces, changes, white, self.nodes, 2 * self.n_own * self.n_dims)
         if links is None or not links.is_exact(error):

@@ -4,6 +4,7 @@ It is at rest, moves straight on, or is a body that the law moves like the other
 """
 
 from dataclasses import dataclass, field, replace
+from functools import partial, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -153,7 +154,7 @@ def unit_pull(term, strength):
         several properties of a source.
     """
     inputs = {node for node in walk(term.formula) if isinstance(node, Input)}
-    of_source = {node for node in inputs if _role(node.name) == "j"}
+    of_source = {node for node in inputs if (property_of(node.name) or ())[1:] == ("j",)}
     if any(node.name in ("s_i", "s_j", "p_c") for node in inputs) or len(of_source) > 1:
         return None
     if any(node.type.shape != "scalar" for node in of_source):
@@ -242,21 +243,13 @@ def body_pulls(term, strength, is_declared=True, is_relative=False):
     return Term(pair, "pair"), Term(Call("mul", feels, own), "field")
 
 
-def _role(name):
-    known = property_of(name)
-    return known[1] if known else ""
-
-
 def _vector(names):
     """The vector with these constants as coordinates."""
-    parts = [
+    parts = (
         Call("mul", Constant(name), Input(f"e_{axis}", Type("vector")))
         for name, axis in zip(names, "xyz", strict=False)
-    ]
-    total = parts[0]
-    for part in parts[1:]:
-        total = Call("add", total, part)
-    return total
+    )
+    return reduce(partial(Call, "add"), parts)
 
 
 def _still():

@@ -87,6 +87,12 @@ class Chains:
     def n_dims(self):
         return self.observed.shape[3]
 
+    def members(self):
+        """Scene and name of every body that forces move, its chain, and its number there."""
+        for s, (scene, bodies) in enumerate(zip(self.scenes, self.bodies, strict=True)):
+            for r, body in enumerate(bodies):
+                yield scene, body, s, r
+
     @property
     def lengths(self):
         """Rows of each chain, shape (S,)."""
