@@ -160,12 +160,7 @@ def _columns(log_period, eccentricity, phase, times):
 
 
 def eccentric_anomaly(mean, eccentricity):
-    """The eccentric anomaly at mean ones, rad (Kepler's equation, by Newton's steps).
-
-    Parameters
-    ----------
-    mean, eccentricity : float or ndarray, of shapes that broadcast
-    """
+    """The eccentric anomaly at mean ones, rad (Kepler's equation, by Newton's steps)."""
     mean = np.mod(mean + math.pi, 2 * math.pi) - math.pi
     found = np.where(eccentricity > 0.8, np.sign(mean) * math.pi, mean)
     for _ in range(NEWTON_STEPS):

@@ -135,16 +135,9 @@ def _calmest(climb, group, rank):
 
 
 def grow(climb, point, rank=0):
-    """Fit ever more rows of the calmest chains, then of the others, from seeds to the whole.
+    """Fit ever more rows of the calmest chains, then of the others, from `seeds` to the whole.
 
     Nodes behind a place where the track was lost are as they were.
-
-    Parameters
-    ----------
-    point : TrackPoint
-        Constants to begin with, and nodes read off the data.
-    rank : int
-        Which seeds, see `seeds`.
     """
     run = climb.run
     nodes = [own.copy() for own in point.nodes]

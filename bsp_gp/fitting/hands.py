@@ -66,12 +66,8 @@ def without_hands(dataset, law):
     """The data set without rows at its ends at which a hand moves bodies, with a note; or None.
 
     Scenes of one moving body alone; nothing is done where rows are counted (`Evaluation`), where
-    velocities are data, or in the sky.
-
-    Parameters
-    ----------
-    law : ForceLaw
-        As it is declared; its constants are fitted to the middle halves of the scenes.
+    velocities are data, or in the sky. Constants of the law, as it is declared, are fitted to the
+    middle halves of the scenes.
     """
     if not may_lose_ends(dataset):
         return None

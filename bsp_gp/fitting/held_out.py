@@ -87,26 +87,12 @@ def held_out_errors(found, dataset, scenes, *, deadline=None):
     """Errors of a fit on scenes that it has not seen.
 
     They are nan where nothing is held out, or the fit has no finite constants.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        For its axes, units and rows of evaluation.
-    deadline : float, optional
-        Seconds.
     """
     return errors_of(held_out_rows(found, dataset, scenes, deadline=deadline), dataset.units)
 
 
 def errors_of(rows, units):
-    """The errors of rows of `held_out_rows`; nan where there are none.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-    units : Units
-        Of the data set.
-    """
+    """The errors of rows of `held_out_rows`; nan where there are none."""
     said = {"unit": units.text(METRE), "acceleration_unit": units.text(ACCELERATION)}
     if not rows:
         return Errors(**dict.fromkeys(METRICS, float("nan")), **said)
@@ -119,12 +105,6 @@ def predictions(found, dataset, scenes, *, deadline=None):
 
     One array (T, R, d) per scene: inf where the motion runs away, nan for bodies that the first
     rows do not show.
-
-    Parameters
-    ----------
-    found : Fit
-    deadline : float, optional
-        Seconds.
     """
     scenes = shown(found, scenes)
     if dataset.is_of_sight:
@@ -227,14 +207,8 @@ def _states_of(head):
 def initial_states(dataset, law, *, paper_steps=False):
     """States at the first row of every scene, fitted on the first rows under a law as it is.
 
-    Places and velocities of the moving bodies, (2, R, d), by the name of the scene.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        Where velocities were measured, the first row is the state.
-    law : ForceLaw
-        Its constants have values.
+    Places and velocities of the moving bodies, (2, R, d), by the name of the scene. Where
+    velocities were measured, the first row is the state.
     """
     scenes = dataset.scenes
     if _is_measured(dataset, scenes):
@@ -258,13 +232,7 @@ def with_states(found, dataset, scenes, *, deadline=None):
 
 
 def states_alone(law, paper_steps, noise, dataset, deadline=None):
-    """Fit of initial states alone, under noise that is known.
-
-    Parameters
-    ----------
-    law : ForceLaw
-        With values.
-    """
+    """Fit of initial states alone, under noise that is known."""
     noise = replace(noise, sources=("declared",) * len(noise.levels))
     own = _own(law, dataset.scenes)
     law = law.with_constants({

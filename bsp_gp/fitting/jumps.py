@@ -219,11 +219,6 @@ def between(times, places, found):
     """Places, velocities and accelerations of a track, from parabolas that pass over no jump.
 
     Each is (T, d), nan where too few rows were seen between two jumps.
-
-    Parameters
-    ----------
-    times : ndarray, shape (T,)
-    places : ndarray, shape (T, d)
     """
     out = np.full((3, *places.shape), np.nan)
     ends = [jump.time for jump in found]

@@ -55,14 +55,7 @@ class Kink:
 
 
 def kinks(times, places):
-    """Kinks of a track, in the order of time.
-
-    Parameters
-    ----------
-    times : ndarray, shape (T,)
-    places : ndarray, shape (T, d)
-        nan where not seen.
-    """
+    """Kinks of a track (T, d), nan where it was not seen, in the order of time."""
     seen = np.isfinite(places).all(axis=1)
     times, places = times[seen], places[seen]
     if len(times) < 2 * SIDE_ROWS[0] or not np.ptp(places, axis=0).any():

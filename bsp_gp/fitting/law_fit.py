@@ -344,11 +344,6 @@ def constant_estimates(found, dataset, bounds=None):
 
     Of a number that cannot be nothing (its bound lies above 0), and whose prior is logarithmic,
     they are symmetric in its logarithm. A strength may be nothing, and its interval may say so.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        For its units.
     """
     from scipy.stats import t as student_t  # a slow import
 

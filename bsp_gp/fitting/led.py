@@ -19,12 +19,9 @@ SETTLED = 0.02
 
 
 def led_by(groups, found):
-    """Groups of chains whose bodies are led by the tracks of a fit; None where nothing changes.
+    """Groups of chains with bodies led by the tracks of a fit, where these are near what was seen.
 
-    Parameters
-    ----------
-    found : Fit
-        Whose tracks count where they are near what was seen.
+    None where nothing changes.
     """
     seen = _seen(groups)
     if not any(are_led(chains, seen) for chains in groups):

@@ -154,13 +154,7 @@ def _stacked(found, n_forces):
 
 
 def less_exact(by_force, moments, error):
-    """Moments (W, m, c) of unit error that were so but for errors of forces, of variances (W, F).
-
-    Parameters
-    ----------
-    by_force : ndarray, shape (W, m, F)
-        The moments by forces.
-    """
+    """Moments (W, m, c) of unit error that were so but for errors of forces, variances (W, F)."""
     if not error.any():
         return moments
     covariance = (by_force * error[:, None]) @ np.swapaxes(by_force, 1, 2)

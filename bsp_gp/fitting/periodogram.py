@@ -65,17 +65,11 @@ def leading_rates(groups, noises):
 
 
 def is_of_swing(rate, found):
-    """Whether a push of some rate has the period of the swing that is there without it.
+    """Whether a push of some rate, rad/s, has the period of the swing that a fit without it has.
 
     What an oscillator lacks, or has otherwise, looks like a push with its own period; and where a
     law foresees no swing, what drives back from both sides makes the same track as such a push. A
     second track, from elsewhere, tells these apart.
-
-    Parameters
-    ----------
-    rate : float, rad/s
-    found : Fit
-        Without that push.
     """
     swing, span = swing_of(found, foreseen=True), longest(found)
     if not swing and len(found.channels.scene_names) == 1:

@@ -106,15 +106,7 @@ class Pieces:
         return 1e-2 * np.where(np.isfinite(size), size, size[np.isfinite(size)].min())
 
     def states(self, chains, times, nodes):
-        """Positions and velocities of all bodies, (n, W, N, d) each.
-
-        Parameters
-        ----------
-        chains : Chains
-            The pieces.
-        times : ndarray, shape (n, W), s
-        nodes : ndarray, shape (2, R, d, n, W)
-        """
+        """Places and velocities of all bodies of the pieces at times (n, W), (n, W, N, d) each."""
         own = np.moveaxis(nodes, (3, 4), (1, 2))  # (2, n, W, R, d)
         n_groups = nodes.shape[-1] // self.count
         apart = own.reshape(2, len(times), n_groups, self.count, *own.shape[3:])

@@ -40,13 +40,7 @@ class Linearised:
         return float(self.residual @ self.residual) + self.rest
 
     def own(self, reins):
-        """What shortened steps of blocks do: a part s takes off 2 s a - s^2 b; a and b, (B,).
-
-        Parameters
-        ----------
-        reins : ndarray, shape (B,)
-            Lengths, in those of whole Gauss-Newton steps.
-        """
+        """What shortened steps of blocks do: a part s takes off 2 s a - s^2 b; a and b, (B,)."""
         return reins * self.rests, np.square(reins) * self.rests
 
     @property

@@ -11,15 +11,7 @@ PASSES = 30
 
 
 def regressed(flows, nodes, noises, constants, free):
-    """Values of the constants that enter linearly, the others as they are, (k,).
-
-    Parameters
-    ----------
-    nodes : sequence of ndarray, shape (2, R, d, T, S)
-        Read off the data.
-    free : sequence of int
-        Which are found.
-    """
+    """Values (k,) of the constants `free`, which enter linearly, the others as they are."""
     constants = np.array(constants, dtype=float)
     constants[free] = 0.0
     targets, columns, errors = [], [], []

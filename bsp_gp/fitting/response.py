@@ -107,13 +107,7 @@ class ResponseBatch(RegressionBatch):
         )  # fmt: skip
 
     def in_plane(self, matrix):
-        """The same of forces in a plane of which this is a picture.
-
-        Parameters
-        ----------
-        matrix : ndarray, shape (d, d)
-            What makes places in the plane of those in the picture.
-        """
+        """The same of forces in a plane to whose places a matrix (d, d) takes those seen."""
         return replace(
             self, positions=self.positions @ matrix.T, velocities=self.velocities @ matrix.T,
             whitener=self.whitener @ np.linalg.inv(matrix),
@@ -185,12 +179,6 @@ class ResponseRegression(Regression):
         """Moments of terms for P values of the constants inside them, shape (n, P, c).
 
         A column whose term has no finite value at some instant that counts is nan.
-
-        Parameters
-        ----------
-        instants : list of Instants
-            Of the terms, as `instants` makes them.
-        constants : dict of str to ndarray, shape (P,)
         """
         parts, lost = [], False
         for batch, own in zip(self.batches, instants, strict=True):
@@ -275,8 +263,6 @@ def respond(fit, dataset, is_quick=False):
 
     Parameters
     ----------
-    dataset : Dataset
-        That it was fitted to.
     is_quick : bool
         Whether forces count that change from row to row: of all others few moments tell as much.
     """
@@ -805,13 +791,7 @@ class _Group:
         )  # fmt: skip
 
     def columns(self, batches):
-        """Moments of the changes by the constants, (n, k), in the way that those of laws are.
-
-        Parameters
-        ----------
-        batches : sequence of ResponseBatch
-            The last ones are those of this group.
-        """
+        """Moments of the changes by the constants, (n, k), in the way that those of laws are."""
         row, chain = np.nonzero(np.isfinite(self.fine.times))
         flow = self._flow(self.fine)
         points = flow.at(self.nodes, row, chain)

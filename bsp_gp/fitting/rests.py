@@ -48,11 +48,6 @@ def without_rests(dataset, law):
 
     Scenes of one moving body alone; nothing is done where rows are counted (`Evaluation`), where
     velocities are data, or in the sky. It is the same one where there is no such row.
-
-    Parameters
-    ----------
-    law : ForceLaw
-        As it is declared; its constants are fitted to the rest.
     """
     if not may_lose_ends(dataset):
         return dataset

@@ -166,13 +166,7 @@ class Condensed:
 
 
 def known_states(chains, noise):
-    """Known first states of chains and deviations, (n, S), nan = unknown; None if all are.
-
-    Parameters
-    ----------
-    noise : ChainNoise
-        Of their rows.
-    """
+    """Known first states of chains and deviations, (n, S), nan = unknown; None if all are."""
     if chains.begun is None or not np.isfinite(chains.begun).any():
         return None
     n_chains, half = chains.n_chains, chains.n_moving * chains.n_dims

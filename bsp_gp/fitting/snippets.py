@@ -17,14 +17,8 @@ EFFORT = 2000
 def snippets_under(law, told, snippets):
     """The fit of the states alone of snippets, under a law and the noise of tracks.
 
-    None where the law cannot be fitted, or the snippets not under it.
-
-    Parameters
-    ----------
-    law : ForceLaw
-        As it is declared.
-    told : Dataset
-        Rows to which its constants are fitted, if it has some.
+    None where the law cannot be fitted, or the snippets not under it. Constants of the law, as it
+    is declared, are fitted to the rows `told`.
     """
     noise = NoiseModel.of(told)
     hypothesis = Hypothesis.from_laws(told, law)

@@ -60,13 +60,7 @@ def _weighed(model, channels, residual):
 
 
 def scaled_without_tails(model, channels, whitener, weights, innovations):
-    """Innovations (T, C) in the spread that they had if their rows had no weight, and that spread.
-
-    Parameters
-    ----------
-    whitener : Whitener
-        Of the model and these weights.
-    """
+    """Innovations (T, C) in the spread they had without weights of rows, and that spread."""
     spread = whitener.spread
     if weights is not None:
         white, _ = model.parts(channels)

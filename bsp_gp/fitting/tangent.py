@@ -167,13 +167,7 @@ def score_of(rows, residual, size, noise_dof=np.inf):
 
 
 def p_of_gain(gain, rank, noise_dof=np.inf):
-    """Chance that noise alone gains so much chi-squared in so many directions.
-
-    Parameters
-    ----------
-    noise_dof : float
-        Degrees of freedom behind the level of the noise.
-    """
+    """Chance that noise alone gains so much chi-squared in so many directions."""
     if not rank:
         return np.ones_like(gain, dtype=float)[()]
     if np.isfinite(noise_dof):

@@ -99,13 +99,7 @@ def carried(flow, nodes, constants):
 
 
 def shown(found, scenes):
-    """Scenes with the bodies that no row shows, on the tracks of a fit.
-
-    Parameters
-    ----------
-    scenes : sequence of Scene
-        Of the clock of the scene that was fitted.
-    """
+    """Scenes of a fitted scene's clock with the bodies that no row shows, on a fit's tracks."""
     for body in found.law.unseen:
         scenes = tuple(
             scene if body.entity in scene.names else _with_track(found, body, scene)

@@ -78,11 +78,6 @@ def weighed(run, climb, minimum, model):
     """The minimum, and its climb, under a noise, every row with the weight that the tails give it.
 
     It is "unconverged" where the weights do not settle.
-
-    Parameters
-    ----------
-    climb : Climb
-        With steps that fit the minimum.
     """
     meshes, before = climb.problem.meshes, -math.inf
     for _ in range(ROUNDS):

@@ -98,13 +98,7 @@ class Whitener:
         return out
 
     def whiten(self, errors):
-        """Errors of unit covariance; 0 where not seen.
-
-        Parameters
-        ----------
-        errors : ndarray, shape (..., T, C)
-            Finite where seen.
-        """
+        """Errors (..., T, C), finite where seen, of unit covariance; 0 where not seen."""
         if self._foreseen is None:  # the quotient itself, not a product with a rounded inverse
             return np.where(self.seen, errors, 0.0) / self.spread
         return self._beside(errors, self._kept, -self._foreseen, self._per_spread)

@@ -10,12 +10,6 @@ def impulse(since, duration):
 
     Times a velocity and the mass it is a kick, a jump of the velocity by that much.
 
-    Parameters
-    ----------
-    since : Formula, s
-        Time since its middle.
-    duration : Number, s
-
     Raises
     ------
     UnitError

@@ -20,13 +20,6 @@ def aliasing_notes(law, scenes, units):
 
     Rows at a step d show the angular frequencies w and w - 2 pi k / d alike. Rows at uneven times
     do not, and nothing is said of them.
-
-    Parameters
-    ----------
-    law : ForceLaw
-        With the values of its constants.
-    scenes : sequence of Scene
-        As they are fitted.
     """
     second = units.text(SECOND)
     grids = [_step(scene.times) for scene in scenes]

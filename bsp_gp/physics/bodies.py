@@ -86,12 +86,7 @@ def under(law, bodies):
 
 
 def subset(bodies, scenes):
-    """The bodies of some of the scenes.
-
-    Parameters
-    ----------
-    scenes : ndarray of int, shape (S,)
-    """
+    """The bodies of some of the scenes, by their numbers (S,)."""
     return replace(
         bodies,
         names=tuple(bodies.names[s] for s in scenes),

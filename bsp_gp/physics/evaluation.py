@@ -201,10 +201,6 @@ class Instants(_Steps):
         """Accelerations of the terms for P values of the constants, shape (n, S, R, P, c, d).
 
         They are not finite where a term is not.
-
-        Parameters
-        ----------
-        constants : dict of str to ndarray, shape (P,)
         """
         values, tail = self.start.copy(), (1,) * (len(self._shape) - 2 + self._lookup.tail)
         n_values = len(next(iter(constants.values())))

@@ -401,15 +401,9 @@ def fresh_names(law, names, stem=None):
 
 
 def split_linear(formula):
-    """Split a product into its linear constant and the rest.
+    """The linear constant of a product, the one factor that occurs nowhere else, and the rest.
 
-    Returns
-    -------
-    name : str or None
-        The constant that multiplies everything, if there is exactly one such factor and it
-        occurs nowhere else.
-    rest : Formula
-        The formula without it.
+    The name is None if there is not exactly one.
     """
     return formula.once(_split)
 
@@ -427,11 +421,8 @@ def _split(formula):
 def constant_units(term):
     """Units of constants of a term: of what is added to a quantity, and of its linear constant.
 
-    Returns
-    -------
-    dict of str to Unit
-        The linear constant turns the rest into a force; it is not among them if the rest has other
-        constants with open units.
+    The linear constant turns the rest into a force; it is left out if the rest has other constants
+    with open units.
     """
     units = _summand_units(term.formula) | added_units(term.formula) | _scale_units(term.formula)
     name, rest = split_linear(term.formula)

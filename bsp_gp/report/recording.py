@@ -42,13 +42,7 @@ def data_text(dataset):
 
 
 def columns_text(name, columns):
-    """Say how the headings of a table were read, where its data are refused.
-
-    Parameters
-    ----------
-    columns : list of dict
-        See `bsp_gp.data.glance.columns_of`.
-    """
+    """Say how the headings of a refused table were read, see `bsp_gp.data.glance.columns_of`."""
     known = [f"{c['ours']} = {c['theirs']!r}" for c in columns if c["ours"]]
     rest = [repr(c["theirs"]) for c in columns if not c["ours"]]
     lines = [f"{name}: columns as they are read: {', '.join(known) or 'none is known'}"]

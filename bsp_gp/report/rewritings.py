@@ -55,13 +55,7 @@ def _turned(way):
 
 
 def other_way(effect, why, dataset):
-    """What a force is as well where nothing turns back: friction, or a push; "" if it is neither.
-
-    Parameters
-    ----------
-    why : str
-        As `told_once` gives it.
-    """
+    """What a force is as well where nothing turns back: friction or a push; "" if neither."""
     sign = -1 if (dataset.get("way") or "").startswith("-") else 1
     way = (dataset.get("way") or "").lstrip("-")
     terms = _split(effect.written or "", " + ", " - ")

@@ -11,13 +11,7 @@ MOST_KINDS = 20
 
 
 def sweep_page(rows, declared):
-    """Write the page, a complete HTML document, every word escaped.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        Of `bsp_gp.sweep.COLUMNS`.
-    """
+    """Write the page, a complete HTML document, every word escaped."""
     environment = Environment(
         loader=PackageLoader("bsp_gp.report"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True,

@@ -64,13 +64,7 @@ def trace_section(round_):
 
 
 def trace_figure(round_):
-    """Draw evidence of channels, and the push of the best: (caption, Figure), or None.
-
-    Parameters
-    ----------
-    round_ : SimpleNamespace
-        Of `page_of`.
-    """
+    """Draw evidence of channels, and the push of the best: (caption, Figure), or None."""
     trace = round_.trace
     if trace is None or not trace.channels or not is_number(trace.channels[0].evidence):
         return None

@@ -97,13 +97,7 @@ class Properties(Valued):
 
 
 def unknown_properties(dataset, latents, scenes):
-    """The unknowns of bodies that some scenes of a data set show, for all its scenes.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        For units.
-    """
+    """The unknowns of bodies that some scenes of a data set show, for all its scenes."""
     mine = set(latents.of_scenes([scene.name for scene in scenes])[1].tolist())
     shown = tuple(item for k, item in enumerate(latents.items) if k in mine)
     others = tuple(item for k, item in enumerate(latents.items) if k not in mine)

@@ -105,13 +105,7 @@ class Chains:
         return np.full((self.code.shape[0], self.n_chains), np.nan)
 
     def pieces(self, chain, first, stop):
-        """Pieces of chains as chains of their own.
-
-        Parameters
-        ----------
-        chain, first, stop : ndarray of int, shape (W,)
-            Rows ``first:stop`` of a chain.
-        """
+        """Pieces of chains, rows ``first:stop`` of each `chain` (W,), as chains of their own."""
         whole = replace(
             self,
             scenes=tuple(self.scenes[k] for k in chain),
@@ -132,12 +126,7 @@ class Chains:
         return whole._cut(chain, first, stop, (*tracks, *driven))
 
     def cut(self, first, stop):
-        """The same chains, each cut to its rows ``first:stop``.
-
-        Parameters
-        ----------
-        first, stop : ndarray of int, shape (S,)
-        """
+        """The same chains, each cut to its rows ``first:stop``, (S,)."""
         chain = np.arange(self.n_chains)
         return self._cut(chain, first, stop, ("times", "observed", "sigma", "velocities"))
 
@@ -158,13 +147,7 @@ class Chains:
         return replace(self, begun=begun, **{name: taken(getattr(self, name)) for name in names})
 
     def contact_sizes(self, others):
-        """What margins of contacts are measured with, arrays (R, J, S).
-
-        Parameters
-        ----------
-        others : ndarray of int, shape (R, J)
-            Sources of every receiver.
-        """
+        """What margins of contacts with sources (R, J) are measured with, arrays (R, J, S)."""
         own = slice(None, self.n_moving)
         radius = np.nan_to_num(self.radius)
         reach = radius[own, None] + radius[others]

@@ -302,10 +302,6 @@ class Flow:
 
         Errors that single steps make within their bound may grow behind them (a passage near a
         centre): meshes for smaller errors are compared until the ends stay.
-
-        Parameters
-        ----------
-        nodes : ndarray, shape (2, R, d, T, S)
         """
         mesh, ends = self._quick_mesh(nodes)
         factor = 1.0
@@ -422,14 +418,7 @@ class Flow:
         return end
 
     def advance(self, state, chain, begin, end):
-        """States (2, R, d, M) of chains at other times, earlier or later; nan where that fails.
-
-        Parameters
-        ----------
-        state : ndarray, shape (2, R, d, M)
-        chain : ndarray of int, shape (M,)
-        begin, end : ndarray, shape (M,), s
-        """
+        """States (2, R, d, M) of chains at other times, earlier or later; nan where that fails."""
         leg = copy(self)
         # A chain may be asked for at several times: each has a row of its own.
         order = np.argsort(chain, kind="stable")

@@ -354,15 +354,7 @@ class Tape:
         return {node: values[node] for _, node in self.kept}
 
     def run(self, prepared, inputs):
-        """Values of the outputs at some instants.
-
-        Parameters
-        ----------
-        prepared : dict
-            From `prepare`, each ready to broadcast with the inputs.
-        inputs : callable
-            ``inputs(name, axis)`` gives an array.
-        """
+        """Values of the outputs at some instants, from what `prepare` made and inputs as there."""
         values = [prepared[node] for _, node in self.kept]
         values += [inputs(name, axis) for _, (name, axis) in self.loads]
         for function, (_, first, second, _) in zip(self._functions, self.line, strict=True):

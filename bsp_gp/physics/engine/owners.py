@@ -43,13 +43,7 @@ class Owners:
         ], dtype=object).T  # fmt: skip
 
     def values(self, name, known, kind):
-        """Values of a constant, a number or an array (R, S), of pairs (R, J or 1, S).
-
-        Parameters
-        ----------
-        known : mapping of str to float or mapping
-            Values of all constants of the law.
-        """
+        """Values of a constant, a number or an array (R, S), of pairs (R, J or 1, S)."""
         column, role = property_of(name) or ("", "")
         if column in self._members:
             members, table = self._members[column], np.array(self.chains.column(column))
