@@ -83,13 +83,7 @@ STEPS = 2
 
 
 class Climb:
-    """All descents of one fit with one kind of steps.
-
-    Parameters
-    ----------
-    run : _Run
-        The law, its parameters and bounds, the chains, what was given to start from.
-    """
+    """All descents of one fit with one kind of steps."""
 
     def __init__(self, run, noises, scales, paper_steps):
         self.run, self.noises, self.scales = run, noises, scales

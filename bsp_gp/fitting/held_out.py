@@ -38,13 +38,7 @@ ROUNDING = 1e-13
 
 @dataclass(frozen=True)
 class FixedForces(Forces):
-    """Forces whose constants keep their values.
-
-    Attributes
-    ----------
-    own : tuple of Parameter
-        Those of bodies and scenes that nothing is known of.
-    """
+    """Forces whose constants keep their values, but `own` ones of unknown bodies and scenes."""
 
     own: tuple = ()
 

@@ -512,10 +512,7 @@ def _over(drift, noise, push, steps):
 class _Part:
     """One track, in units of rows and steps, about its first place.
 
-    Parameters
-    ----------
-    number : ndarray of int, shape (T - 1,)
-        Which kind of step leads from each row to the next.
+    `number` (T - 1,) says which kind of step leads from each row to the next.
     """
 
     def __init__(self, times, places, number):

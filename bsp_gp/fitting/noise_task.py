@@ -53,11 +53,6 @@ PRECISION = 1e-6
 class NoiseTask:
     """One residual, and the noise laws that are tried on it.
 
-    Parameters
-    ----------
-    model, channels, residual, columns, local
-        As `estimate` takes them.
-
     Attributes
     ----------
     start : NoiseModel

@@ -153,12 +153,10 @@ def _moving(chains):
 
 
 def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
-    """Cut chains into pieces.
+    """Cut chains of the scenes of a batch into pieces.
 
     Parameters
     ----------
-    batch : Batch
-        Of the scenes that the chains are of.
     n_held : int
         Coordinates that constraints take from a chain: what is slow on it shows in longer pieces.
     per_row : int

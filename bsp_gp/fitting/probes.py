@@ -25,15 +25,12 @@ WAVES = (0, 1, 2)
 
 
 def probe_terms(groups, is_moving, is_held=False):
-    """As many probes as the shortest tracks can bear, the slowest first.
+    """As many probes along axes (d,) that move as the shortest tracks can bear, the slowest first.
 
     They are forces per unit mass, each with one constant of its own.
 
     Parameters
     ----------
-    groups : sequence of Chains
-    is_moving : ndarray of bool, shape (d,)
-        Axes along which something moves.
     is_held : bool
         Whether constraints hold bodies: then forces along and across a radius are too much alike.
     """

@@ -28,8 +28,6 @@ def roll(law, chains, first, tolerance, paper_steps=False):
 
     Parameters
     ----------
-    law : ForceLaw
-        Its constants have values.
     first : ndarray, shape (2, R, d, S)
         States at the first row.
     tolerance : ndarray, shape (S,), metres

@@ -40,13 +40,7 @@ GROUPED = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Pieces of chains that have initial states of their own.
-
-    Attributes
-    ----------
-    chain, first, stop : ndarray of int, shape (W,)
-        Rows ``first:stop`` of a chain.
-    """
+    """Rows ``first:stop`` of each `chain` (W,) that have initial states of their own."""
 
     chain: np.ndarray
     first: np.ndarray
@@ -442,12 +436,8 @@ class Shooting:
     def columns(self, condensed, n_most):
         """Changes of the predicted places by initial states and constants, whole tracks.
 
-        Local ones are (n_most, T, S, R, d), shared ones (k, T, S, R, d).
-
-        Parameters
-        ----------
-        n_most : int
-            Local columns to give; those beyond the chain's own are zero.
+        Local ones are (n_most, T, S, R, d), shared ones (k, T, S, R, d). Local ones beyond the
+        chain's own are zero.
         """
         n, k = self.flow.n_state, self.flow.n_constants
         shape = self.chains.observed.shape

@@ -301,7 +301,6 @@ def candidates(law, parameters, scales, rates, most):
 
     Parameters
     ----------
-    parameters : sequence of (name, entity)
     rates : sequence of float
         Angular frequencies at which the tracks show something, rad/s.
     """

@@ -47,8 +47,6 @@ class Rule:
     ----------
     index : int
         Its number in the grammar; derivation trees store these.
-    text : str
-        The body as written.
     body : nested tuple, Slot or Formula
         ``(operator, *arguments)`` with slots at the nonterminals.
     children : tuple of str
@@ -76,8 +74,6 @@ class Grammar:
     ----------
     start : mapping of str to str
         Kind of law ("pair", "field") -> start symbol.
-    types : mapping of str to Type
-        Of every nonterminal.
     operators : mapping of str to str
         What the names in bodies mean (``div`` -> ``div_guarded``).
     enabled : tuple of bool, one per rule

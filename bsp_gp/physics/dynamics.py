@@ -61,10 +61,7 @@ def step_of(integrator):
 class Tracks:
     """Where entities that forces do not move are, between the measured rows as well.
 
-    Parameters
-    ----------
-    substeps : int
-        The places asked for are rows and the halves of every sub-step.
+    The places asked for are rows and the halves of every sub-step.
     """
 
     def __init__(self, batch, substeps):

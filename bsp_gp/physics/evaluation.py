@@ -175,12 +175,7 @@ def _contacts_of(formula):
 class Instants(_Steps):
     """Terms of a kind at the same instants, for many values of the constants inside them.
 
-    What no constant changes is computed once.
-
-    Parameters
-    ----------
-    positions, velocities : ndarray, shape (n, S, N, d)
-    times : ndarray, shape (n, S)
+    What no constant changes is computed once. Places and velocities are (n, S, N, d), times (n, S).
     """
 
     def __init__(self, terms, bodies, positions, velocities, times):

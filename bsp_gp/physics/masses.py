@@ -88,11 +88,6 @@ def _unit_mass(entity):
 def check_properties(batches, law):
     """A pooled term must be able to act on every body that moves.
 
-    Parameters
-    ----------
-    batches : sequence
-        With the `bodies` of some scenes.
-
     Raises
     ------
     LawError

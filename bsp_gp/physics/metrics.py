@@ -10,12 +10,10 @@ METRICS = ("residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint"
 
 
 def error_of(metric, rows):
-    """An error of some held-out scenes; nan where there is nothing to score.
+    """An error of some held-out scenes, one of `METRICS`; nan where there is nothing to score.
 
     Parameters
     ----------
-    metric : str
-        One of `METRICS`.
     rows : sequence of dict
         A row per scene, with the fields of `ERRORS`: nan where there is nothing.
     """

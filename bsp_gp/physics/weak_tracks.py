@@ -31,14 +31,9 @@ _GAUSS = np.polynomial.legendre.leggauss(3)
 
 @dataclass(frozen=True)
 class Run:
-    """Rows over which test functions may reach.
+    """Rows of a track, `nodes`, over which test functions may reach.
 
-    Attributes
-    ----------
-    nodes : ndarray of int
-        Rows of the track, in order.
-    inner : ndarray of int
-        Places in `nodes` where the law is evaluated.
+    The law is evaluated at the places `inner` among them.
     """
 
     nodes: np.ndarray

@@ -45,13 +45,7 @@ _MIN_PER_BIN = 8
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure with its words.
-
-    Attributes
-    ----------
-    name : str
-        File name without its ending.
-    """
+    """A figure with its words; its name is that of a file without the ending."""
 
     name: str
     caption: str

@@ -38,14 +38,10 @@ class Constraint(Numbered):
 
     Attributes
     ----------
-    text : str
-        As typed.
     formula : Formula
         The quantity, of places p_i, p_j and the time.
     pairs : tuple of (str, str)
         The bodies that keep to it: i, a body that forces move, and j or "".
-    numbers : tuple of Parameter
-        Its constants.
     is_coupling : bool
         Whether it passes forces between bodies that forces move.
     """
@@ -145,11 +141,6 @@ def read_string(dataset, text):
 
     It is stiff for the rows, and critically damped: what a bob has of speed along it is lost where
     it becomes taut.
-
-    Parameters
-    ----------
-    text : str
-        As of `read_constraint`.
 
     Returns
     -------

@@ -22,8 +22,6 @@ class Kick(Forces):
     ----------
     mark : str
         Property that is 1 of this body in this scene, and that no other has.
-    instant : str
-        Name of the instant.
     span : tuple of float, s
         Within which it lies.
     """
@@ -40,8 +38,6 @@ class Kick(Forces):
 
         Parameters
         ----------
-        scene, entity, mark, instant, span
-            As of the class.
         gains : mapping of str to str
             Axis -> name of the component of the velocity that is gained.
         values : mapping of str to float

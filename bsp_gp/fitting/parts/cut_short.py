@@ -20,13 +20,7 @@ WIDTHS, SURE = (2, 4, 8, 16), 8.0
 
 @dataclass(frozen=True)
 class CutShort(Edit):
-    """Bodies that are followed in rows before one alone; beyond, they lead others as they did.
-
-    Attributes
-    ----------
-    bodies : tuple of str
-        Of one chain.
-    """
+    """Bodies of a chain that are followed in rows before one alone; beyond, they lead as before."""
 
     bodies: tuple = field(default=())
 
@@ -34,10 +28,7 @@ class CutShort(Edit):
     def at_turn(cls, chains, chain, scene):
         """The bodies of a chain cut where they turn most sharply.
 
-        Parameters
-        ----------
-        scene : Scene
-            Of the chain, in whose extent what is left out may lie anywhere.
+        What is left out may lie anywhere in the extent of their scene.
         """
         n = int(chains.lengths[chain])
         times, places = chains.times[:n, chain], chains.observed[:n, chain]

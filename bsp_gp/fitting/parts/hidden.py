@@ -57,8 +57,6 @@ class HiddenSource(Forces):
     middle : tuple of float, metres
     size, speed : float
         Extent of the data and typical speed: what is far, and fast.
-    strength : str
-        Name of its strength.
     between : tuple of Term
         Forces between visible bodies by which it acts.
     epoch : float, s
@@ -191,11 +189,8 @@ def pull_of(term, strength, places, speeds=(), epoch=0.0, is_relative=False):
 
     Parameters
     ----------
-    term, strength
-        As of `unit_pull`.
     places, speeds : sequence of str
         Names of the coordinates at `epoch`, and of the components of the velocity.
-    epoch : float, s
     is_relative : bool
         Whether places are those from a body that is pulled too, see `beside_origin`.
     """
@@ -211,12 +206,10 @@ def pull_of(term, strength, places, speeds=(), epoch=0.0, is_relative=False):
 
 
 def body_pulls(term, strength, is_declared=True, is_relative=False):
-    """What an unseen body of this strength brings beyond the term, tuple of Term.
+    """What an unseen body of this strength brings beyond a pair term, tuple of Term.
 
     Parameters
     ----------
-    term : Term
-        A pair term.
     is_declared : bool
         Whether bodies pull each other by the term, the unseen one as if it were like the others.
     is_relative : bool

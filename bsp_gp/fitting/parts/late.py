@@ -12,7 +12,6 @@ class Late(Part):
 
     Attributes
     ----------
-    inputs : tuple of str
     limit : float, s
         The largest delay that is believed; a negative one is that of the tracks.
     value : float, s

@@ -23,9 +23,6 @@ class Linkage(Numbered):
 
     Attributes
     ----------
-    text : str
-        As typed.
-    pair : tuple of (str, str)
     couplings : tuple of (str, str)
         Of the constants by which each feels the other: C over its moment of inertia where that is
         not known, else C, which both share.

@@ -76,18 +76,14 @@ def count_of(dataset):
 
 
 def wall_of(names, axis, side, n_dims, values, extent):
-    """A wall with numbers that begin at values, SI.
+    """A wall with numbers that begin at values, SI, of tracks of an extent in m.
 
     Parameters
     ----------
     names : sequence of str
         As many as `count_of` says.
-    axis, side, n_dims
-        As of `Wall`.
     values : sequence of float
         The coordinate, and so on; missing ones are usual.
-    extent : float, m
-        Of the tracks.
     """
     usual = (0.0, START, 1.0, 0.0)
     values = [*values, *usual[len(values) :]]

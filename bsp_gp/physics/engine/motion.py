@@ -187,10 +187,7 @@ class _Program:
 class Motion:
     """A law on some chains.
 
-    Parameters
-    ----------
-    parameters : sequence of (name, entity)
-        The constants that derivatives are taken by; entity "" = one for all.
+    Derivatives are by `parameters`, (name, entity) each; entity "" = one for all.
     """
 
     def __init__(self, law, chains, parameters):

@@ -17,13 +17,7 @@ def fitted_properties(law):
 
 
 class Owners:
-    """Constants of a law in rows of the receivers and sources of some chains.
-
-    Parameters
-    ----------
-    others : ndarray of int, shape (R, J)
-        Sources of every receiver.
-    """
+    """Constants of a law in rows of receivers and sources, `others` (R, J), of some chains."""
 
     def __init__(self, law, chains, parameters, others):
         self.chains, self.others = chains, others
