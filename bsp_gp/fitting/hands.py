@@ -205,12 +205,11 @@ def _lacking(dataset, law, pieces, levels):
 
 def _snippets(scenes, pieces, centres):
     """Rows of scenes about centres as scenes, each called by the first of them."""
-    out = []
-    for scene in scenes:
-        rows = pieces[scene.name][0]
-        for first in (centres[scene.name] - rows // 2).tolist():
-            out.append(replace(scene.rows(first, first + rows), name=f"{scene.name} {first}"))
-    return out
+    return [
+        replace(scene.rows(first, first + rows), name=f"{scene.name} {first}")
+        for scene in scenes for rows, _ in [pieces[scene.name]]
+        for first in (centres[scene.name] - rows // 2).tolist()
+    ]  # fmt: skip
 
 
 def _led(series, rows, half, count):

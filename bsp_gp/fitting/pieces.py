@@ -152,7 +152,7 @@ def _moving(chains):
     return {(scene, name) for scene, name, *_ in chains.members()}
 
 
-def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
+def cut_pieces(chains, batch, n_held=0, per_row=1, hits=()):
     """Cut chains of the scenes of a batch into pieces.
 
     Parameters

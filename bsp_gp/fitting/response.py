@@ -283,7 +283,7 @@ def respond(fit, dataset, is_quick=False):
             n_held = sum(pair[0] in chains.bodies[0] for pair in pairs)
             per_row = 1 if fit.paper_steps else _instants_per_row(fit, chains, nodes)
             hits = _hits(fit, chains, nodes)
-            pieces = cut_pieces(chains, noise, batch, n_held, per_row, hits)
+            pieces = cut_pieces(chains, batch, n_held, per_row, hits)
             lost = NOTHING if is_quick else LOST
             group = _Group(_flying(fit), chains, nodes, noise, pieces, per_row, lost)
             own = group.batches()
@@ -740,9 +740,10 @@ class _Group:
         leads = self.pieces.leads
         if not leads.any():
             return None
-        if self.noise.amplitude.any():  # across pieces a memory is not followed
-            if spread(self.fine.times)[leads].min() < MEMORIES * self.noise.correlation_time:
-                return None
+        # Across pieces a memory is not followed.
+        lasts = spread(self.fine.times)[leads].min()
+        if self.noise.amplitude.any() and lasts < MEMORIES * self.noise.correlation_time:
+            return None
         links = link(self.pieces, changes, white, self.nodes, 2 * self.n_own * self.n_dims)
         if links is None or not links.is_exact(error):
             return None

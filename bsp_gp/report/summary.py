@@ -55,8 +55,8 @@ def summary_text(report: LoopReport, width: int = WIDTH) -> str:
         (ratio_caution(report), ""),
         (worse_bodies(report), ""),
     ]
-    for note in [note for note in notes if note.startswith(CHECK)][:_MAX_CHECKS]:
-        paragraphs.append((note.replace(CHECK, "Check: ", 1), "       "))
+    checks = [note for note in notes if note.startswith(CHECK)][:_MAX_CHECKS]
+    paragraphs += [(note.replace(CHECK, "Check: ", 1), "       ") for note in checks]
     is_of_sight = is_speed(report.dataset.get("symbols", {}).get("m", ""))
     law = report.law_text if is_of_sight else "F = " + report.law_text
     paragraphs += [("Law: " + law, "     "), *_constants(report)]

@@ -350,7 +350,7 @@ def _kept_best(dataset, formula, pairs, axes, is_least=False):
     names = formula.constants
     if not names:
         return {}
-    rows = [_inputs(dataset, formula, scene, pair) for scene in dataset.scenes for pair in pairs]
+    rows = [_inputs(formula, scene, pair) for scene in dataset.scenes for pair in pairs]
     rows = [row for row in rows if row is not None]
     middle, size = extent_of(dataset)
 
@@ -389,14 +389,14 @@ def _parameters(dataset, formula, axes, values):
 def left_by(dataset, part):
     """What the rows leave of a constraint at its numbers, m, one array for each scene and pair."""
     known = {p.name: p.start for p in part.numbers}
-    rows = [_inputs(dataset, part.formula, s, pair) for s in dataset.scenes for pair in part.pairs]
+    rows = [_inputs(part.formula, s, pair) for s in dataset.scenes for pair in part.pairs]
     return [
         np.broadcast_to(evaluate(part.formula, row, known), row["t"].shape)
         for row in rows if row is not None
     ]  # fmt: skip
 
 
-def _inputs(dataset, formula, scene, pair):
+def _inputs(formula, scene, pair):
     """Inputs of the rows of a pair of bodies; None where the scene does not have it."""
     if any(name and name not in scene.names for name in pair):
         return None

@@ -484,8 +484,10 @@ class Flow:
             for first in range(0, self.n_intervals, length):
                 block = slice(first, first + length)
                 index = mesh.order[block]
-                run = self._run_euler if mesh.scheme == "euler" else self._run_block
-                end, moved = run(nodes, mesh, index, block, slopes)
+                if mesh.scheme == "euler":
+                    end, moved = self._run_euler(nodes, index, slopes)
+                else:
+                    end, moved = self._run_block(nodes, mesh, index, block, slopes)
                 ends[..., index] = end
                 if slopes:
                     transitions[index] = moved
@@ -534,7 +536,7 @@ class Flow:
             total = np.moveaxis(total, -1, 0)
         return state, total
 
-    def _run_euler(self, nodes, mesh, index, block, slopes):
+    def _run_euler(self, nodes, index, slopes):
         """The paper's step: v += a h, then p += v h."""
         chain, h = self.chain[index], self.length[index]
         points = self.points(nodes[..., self.row[index], chain], self.start[index], chain)
