@@ -290,8 +290,7 @@ class Shooting:
     def _begun(self, group, values, nodes):
         """How first nodes hang on themselves or, of bodies without rows, on constants."""
         n, k = self.flow.n_state, self.flow.n_constants
-        begun = np.zeros((len(group), n, n + k + 1))
-        begun[:, np.arange(n), np.arange(n)] = 1.0
+        begun = np.tile(np.eye(n, n + k + 1), (len(group), 1, 1))
         first, chain = self.windows.first[group], self.windows.chain[group]
         kept = self.flow.tangent(nodes, first, chain)
         if kept is not None:
@@ -321,8 +320,7 @@ class Shooting:
         block_first = (first[:, None] + offset).ravel()
         # A block ends with the first node of the next one.
         block_length = np.clip(length[:, None] - offset, 0, size + 1).ravel()
-        alone = np.zeros((len(block_first), *begun.shape[1:]))
-        alone[:, np.arange(begun.shape[1]), np.arange(begun.shape[1])] = 1.0
+        alone = np.tile(np.eye(*begun.shape[1:]), (len(block_first), 1, 1))
         local = self._chained(
             block_first, np.repeat(chain, n_blocks), block_length, transitions, gaps, alone
         )

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.data.scene import Entity
 from bsp_gp.errors import DataError, LawError, in_python
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.evaluation import unknown_receivers
@@ -74,15 +73,7 @@ def with_unit_masses(scene):
 def _unit_mass(entity):
     if entity.is_static or np.isfinite(entity.mass):
         return entity
-    return Entity(
-        entity.name,
-        entity.shape,
-        entity.radius,
-        entity.width,
-        entity.height,
-        entity.is_static,
-        {**entity.properties, "mass": 1.0},
-    )
+    return replace(entity, properties={**entity.properties, "mass": 1.0})
 
 
 def check_properties(batches, law):

@@ -85,7 +85,8 @@ class WeakForm:
         self.is_unsure = is_unsure
         self._tracks = {}
         self._check()
-        self.step = float(np.nanmedian(np.concatenate([_steps(b.times).ravel() for b in batches])))
+        steps = np.concatenate([np.diff(b.times, axis=0).ravel() for b in batches])
+        self.step = float(np.nanmedian(steps))
         tried = ()
         if width is None:
             self.spacing, tried = choose_spacing(self._series(), self.step, is_measured)
@@ -162,7 +163,7 @@ class WeakForm:
         """Longest step that is bridged: what test functions do not resolve."""
         if self.is_stepped:
             return 1.5
-        steps = _steps(times)
+        steps = np.diff(times)
         usual = np.quantile(steps[np.isfinite(steps)], 0.9)
         return max(BRIDGED * float(usual), spacing)
 
@@ -301,7 +302,3 @@ def _key(times, runs, sigma):
     """What tells tracks with test functions of their own apart."""
     nodes = tuple(run.nodes.tobytes() for run in runs)
     return np.nan_to_num(times).tobytes(), nodes, sigma.tobytes()
-
-
-def _steps(times):
-    return np.diff(times, axis=0)

@@ -381,8 +381,7 @@ class Constraints:
         rest = np.zeros(points.state.shape[1:])
         _, jacobian = self._rows(points, rest)
         of_values, _ = self._slopes(points, rest)
-        out = np.zeros((2 * n, 2 * n + self.k, m))
-        out[np.arange(2 * n), np.arange(2 * n)] = 1.0
+        out = np.tile(np.eye(2 * n, 2 * n + self.k)[..., None], m)
         if not is_there:
             out[:n] -= self._solved(jacobian, of_values[0], points.chain)[0]
         by_place = of_values[1][:, :n]

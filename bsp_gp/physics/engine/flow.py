@@ -260,14 +260,8 @@ class Flow:
 
     def first_slopes(self, m):
         """Derivatives of m starts by themselves, as `step_slopes` takes them."""
-        n, k = self.n_state, self.n_constants
-        first = np.zeros((n, n + k, m) if self.is_sparse else (m, n, n + k))
-        own = np.arange(n)
-        if self.is_sparse:
-            first[own, own] = 1.0
-        else:
-            first[:, own, own] = 1.0
-        return first
+        one = np.eye(self.n_state, self.n_state + self.n_constants)
+        return np.tile(one[..., None], m) if self.is_sparse else np.tile(one, (m, 1, 1))
 
     def _sparse_slopes(self, scheme, stages, h, first, half, m):
         by_state, by_constant = self.motion.slope_rows(stages.joined())
