@@ -107,8 +107,7 @@ class Climb:
     @staticmethod
     def sigma(noise):
         """Least standard deviation of a row of each chain, (S,)."""
-        seen = np.isfinite(noise.variance)
-        sigma = np.sqrt(np.where(seen, noise.variance, np.inf).min(axis=(0, 2, 3)))
+        sigma = noise.least
         return np.where(np.isfinite(sigma), sigma, sigma[np.isfinite(sigma)].min())
 
     def _bases(self):

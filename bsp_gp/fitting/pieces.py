@@ -101,8 +101,7 @@ class Pieces:
 
     def tolerance(self, noise):
         """Errors that integrations may have, (W,), m."""
-        seen = np.isfinite(noise.variance)
-        size = np.sqrt(np.where(seen, noise.variance, np.inf).min(axis=(0, 2, 3)))[self.chain]
+        size = noise.least[self.chain]
         return 1e-2 * np.where(np.isfinite(size), size, size[np.isfinite(size)].min())
 
     def states(self, chains, times, nodes):

@@ -164,10 +164,8 @@ def known_states(chains, noise):
     if chains.begun is None or not np.isfinite(chains.begun).any():
         return None
     n_chains, half = chains.n_chains, chains.n_moving * chains.n_dims
-    variance = np.where(np.isfinite(noise.variance), noise.variance, np.inf)
-    level = np.sqrt(variance.min(axis=(0, 2, 3)))
     size = np.abs(np.nan_to_num(chains.observed)).max(axis=(0, 2, 3), initial=0.0)
-    least = np.maximum(EXACT * level, ROUNDINGS * np.finfo(float).eps * size)
+    least = np.maximum(EXACT * noise.least, ROUNDINGS * np.finfo(float).eps * size)
     span = spread(chains.times)
     least = np.repeat(np.stack([least, least / np.where(span > 0, span, 1.0)]), half, axis=0)
     values = chains.begun.reshape(2 * half, n_chains)

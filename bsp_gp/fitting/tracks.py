@@ -64,6 +64,12 @@ class ChainNoise:
         return self._whiteners[key].whiten(flat).reshape(errors.shape)
 
     @property
+    def least(self):
+        """Least standard deviation of a row of each chain, (S,); inf where none was seen."""
+        variance = np.where(np.isfinite(self.variance), self.variance, np.inf)
+        return np.sqrt(variance.min(axis=(0, 2, 3)))
+
+    @property
     def n_seen(self):
         return int(np.isfinite(self.variance).sum())
 

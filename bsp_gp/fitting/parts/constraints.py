@@ -112,7 +112,7 @@ def freed_of(dataset, part, point, length):
     points = _POINT.findall(part.text)
     known = [p.strip() for found in points for p in found.split(",")]
     right = part.text.split("=")[1].strip()
-    metres = Conversion(dict(dataset.units.declared), dict(dataset.units.declared)).length("x")
+    metres = metres_of(dataset, "x")
     ways = [{}]
     if _is_number(right) and float(right):
         ways.append({length: right})
@@ -248,8 +248,7 @@ def _difference(dataset, text, sides):
     if any(len(scene.entities) > 1 for scene in dataset.scenes):
         types |= {"p_j": STATE_INPUTS["p_j"]}
     types |= {"origin": STATE_INPUTS["origin"]}
-    declared = dict(dataset.units.declared)
-    metres = Conversion(declared, declared).length("x")
+    metres = metres_of(dataset, "x")
 
     def length(digits):
         name = f"literal{len(literals)}"
@@ -300,6 +299,12 @@ def _difference(dataset, text, sides):
             "a column of entities.csv, and write its name with _i"
         )
     return formula, axes
+
+
+def metres_of(dataset, axis):
+    """The unit in which coordinates along an axis were given, m."""
+    declared = dict(dataset.units.declared)
+    return Conversion(declared, declared).length(axis)
 
 
 def _is_number(text):

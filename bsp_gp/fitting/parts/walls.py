@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.data.conversion import Conversion
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Numbered, Parameter
+from bsp_gp.fitting.parts.constraints import extent_of, metres_of
 from bsp_gp.language.formula import Number
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.units import DIMENSIONLESS, METRE
@@ -103,9 +103,8 @@ def wall_of(names, axis, side, n_dims, values, extent):
 
 def _place(dataset, text, number, axis):
     """Where a wall is said to be, m."""
-    declared = dict(dataset.units.declared)
     try:
-        return float(number) * Conversion(declared, declared).length(axis)
+        return float(number) * metres_of(dataset, axis)
     except ValueError:
         pass
     try:
@@ -139,8 +138,6 @@ def read_wall(dataset, text):
     ------
     LawError
     """
-    from bsp_gp.fitting.parts.constraints import extent_of
-
     n_dims = dataset.n_dims
     parts = match[1].split(",") if (match := _CALL.fullmatch(text)) else [""]
     side, more = _SIDE.fullmatch(parts[0]), [part.strip() for part in parts[1:]]
