@@ -123,6 +123,8 @@ def _power_text(name, power):
 
 
 DIMENSIONLESS = Unit()
+METRE, SECOND, KILOGRAM = Unit.of(m=1), Unit.of(s=1), Unit.of(kg=1)
+SPEED = METRE / SECOND
 FORCE = Unit.of(kg=1, m=1, s=-2)
 ACCELERATION = Unit.of(m=1, s=-2)
 GRAVITIES = {"g": 9.80665, "G": 9.80665, "mg": 9.80665e-3}
@@ -206,7 +208,7 @@ def parse_unit(text):
 
 
 _SI = {
-    "m": Unit.of(m=1), "s": Unit.of(s=1), "kg": Unit.of(kg=1), "A": Unit.of(A=1), "N": FORCE,
+    "m": METRE, "s": SECOND, "kg": KILOGRAM, "A": Unit.of(A=1), "N": FORCE,
     "C": Unit.of(A=1, s=1), "J": Unit.of(kg=1, m=2, s=-2),
 }  # fmt: skip
 _SCALED = {"km": (1000.0, "m"), "cm": (0.01, "m"), "mm": (0.001, "m"), "ms": (0.001, "s"),
@@ -275,7 +277,7 @@ OF_THE_SKY = ("arcsec", "mas", "uas", "arcmin", "milliarcsecond", "microarcsecon
 def is_speed(text):
     """Whether a text is a unit of velocities."""
     try:
-        return parse_unit(text)[1] == Unit.of(m=1, s=-1)
+        return parse_unit(text)[1] == SPEED
     except UnitError:
         return False
 
@@ -350,5 +352,5 @@ class UnitSystem:
         declared = self.declared.get("time", "")
         scale = 1.0 if "s" in self.symbols or not declared else parse_unit(declared)[0]
         if scale == 1.0:
-            return f"{seconds:.4g} {self.text(Unit.of(s=1))}"
+            return f"{seconds:.4g} {self.text(SECOND)}"
         return f"{seconds / scale:.9g} {declared}"

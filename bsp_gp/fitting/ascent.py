@@ -21,7 +21,7 @@ _NEAR, _LONGEST = 0.3, 1.0
 
 
 def maximise(function, start, bounds, likeness=None):
-    """Maximise a function of a few numbers of unit size.
+    """Maximise a function of a few numbers of unit size: where that is, (k,), and what it reaches.
 
     Parameters
     ----------
@@ -31,11 +31,6 @@ def maximise(function, start, bounds, likeness=None):
     bounds : sequence of (low, high)
     likeness : callable, optional
         A cheaper function that differs from `function` by less than it varies.
-
-    Returns
-    -------
-    values : ndarray, shape (k,)
-    reached : float
     """
     low, high = np.array(bounds, dtype=float).T
     start = np.clip(start, low, high)

@@ -27,16 +27,12 @@ DEARER = 10.0
 def steadied(response, columns):
     """The response with the moments of bent pieces scaled down.
 
+    It is as it was unless the usual laws explain most of the pieces, and few are left.
+
     Parameters
     ----------
-    response : Response
     columns : callable
         ``columns()``: moments of the usual laws, (n, c); only asked for where they are needed.
-
-    Returns
-    -------
-    Response
-        As it is unless the usual laws explain most of the pieces, and few are left.
     """
     pieces = _Pieces(response)
     before = np.median(pieces.left(pieces.target)) if len(pieces.sizes) >= LEAST_PIECES else 0.0

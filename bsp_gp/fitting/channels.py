@@ -43,48 +43,30 @@ class Channels:
     speed: np.ndarray | None = None
 
     @classmethod
-    def of(cls, batches, speeds=None):
-        """The channels of the receivers of batches, in their order.
-
-        Parameters
-        ----------
-        speeds : sequence of ndarray, shape (T, S, R, d), m/s, optional
-            Fitted or smoothed velocities of the receivers.
-        """
-        bodies, scenes, of_body, of_scene, axis = {}, {}, [], [], []
-        for batch in batches:
-            n_dims = batch.bodies.n_dims
-            for scene, names in zip(batch.scenes, batch.bodies.receiver_names, strict=True):
-                at = scenes.setdefault(scene.name, len(scenes))
-                for name in names:
-                    of_body += [bodies.setdefault(name, len(bodies))] * n_dims
-                    of_scene += [at] * n_dims
-                    axis += range(n_dims)
-        positions = [b.positions[:, :, b.bodies.receivers] for b in batches]
-        shapes = [p.shape for p in positions]
-        times = [
-            np.broadcast_to(b.times[:, :, None, None], shape)
-            for b, shape in zip(batches, shapes, strict=True)
-        ]
+    def of(cls, groups):
+        """The channels of groups of chains, one after the other, without speeds."""
+        bodies, scenes, axis, body, scene, chain = {}, {}, [], [], [], []
+        count = 0
+        for chains in groups:
+            for name, members in zip(chains.scenes, chains.bodies, strict=True):
+                at = scenes.setdefault(name, len(scenes))
+                for member in members:
+                    body += [bodies.setdefault(member, len(bodies))] * chains.n_dims
+                    scene += [at] * chains.n_dims
+                    axis += range(chains.n_dims)
+                    chain += [count] * chains.n_dims
+                count += 1
         quoted = None
-        if any(b.sigma is not None for b in batches):
-            blank = [np.full(shape, np.nan) for shape in shapes]
+        if any(chains.sigma is not None for chains in groups):
             quoted = join(
-                x if b.sigma is None else b.sigma[:, :, b.bodies.receivers]
-                for b, x in zip(batches, blank, strict=True)
+                np.full(c.observed.shape, np.nan) if c.sigma is None else c.sigma for c in groups
             )
+        times = [np.broadcast_to(c.times[:, :, None, None], c.observed.shape) for c in groups]
         return cls(
-            times=join(times),
-            seen=np.isfinite(join(positions)),
-            axis=np.array(axis, dtype=int),
-            body=np.array(of_body, dtype=int),
-            scene=np.array(of_scene, dtype=int),
-            chain=np.array(of_scene, dtype=int),
-            body_names=tuple(bodies),
-            scene_names=tuple(scenes),
-            quoted=quoted,
-            speed=None if speeds is None else np.abs(join(speeds)),
-        )
+            times=join(times), seen=np.isfinite(join(c.observed for c in groups)),
+            axis=np.array(axis), body=np.array(body), scene=np.array(scene), chain=np.array(chain),
+            body_names=tuple(bodies), scene_names=tuple(scenes), quoted=quoted,
+        )  # fmt: skip
 
     @cached_property
     def gaps(self):
@@ -114,6 +96,16 @@ def join(arrays):
         whole[..., : a.shape[-2], :] = a
         filled.append(whole)
     return np.concatenate(filled, axis=-1)
+
+
+def split(rows, groups):
+    """Rows (T, C) of all channels as every group of chains has them (T, S, R, d): undoes `join`."""
+    first = 0
+    for chains in groups:
+        shape = chains.observed.shape
+        count = int(np.prod(shape[1:]))
+        yield rows[: shape[0], first : first + count].reshape(shape)
+        first += count
 
 
 def unexplained(fit, name):

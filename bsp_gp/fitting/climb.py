@@ -83,15 +83,7 @@ STEPS = 2
 
 
 class Climb:
-    """All descents of one fit with one kind of steps.
-
-    Parameters
-    ----------
-    run : _Run
-        The law, its parameters and bounds, the chains, what was given to start from.
-    noises : sequence of ChainNoise
-    paper_steps : bool
-    """
+    """All descents of one fit with one kind of steps."""
 
     def __init__(self, run, noises, scales, paper_steps):
         self.run, self.noises, self.scales = run, noises, scales
@@ -115,8 +107,7 @@ class Climb:
     @staticmethod
     def sigma(noise):
         """Least standard deviation of a row of each chain, (S,)."""
-        seen = np.isfinite(noise.variance)
-        sigma = np.sqrt(np.where(seen, noise.variance, np.inf).min(axis=(0, 2, 3)))
+        sigma = noise.least
         return np.where(np.isfinite(sigma), sigma, sigma[np.isfinite(sigma)].min())
 
     def _bases(self):
@@ -128,7 +119,6 @@ class Climb:
         return bases
 
     def with_noises(self, noises):
-        """The same under another noise."""
         return Climb(self.run, noises, self.scales, self.paper_steps)
 
     # --- levels ---------------------------------------------------------------------------------
@@ -237,8 +227,7 @@ class Climb:
             known[missing] = 0.0
             known = regressed(self.flows, nodes, self.noises, known, list(missing))
         point = TrackPoint(self.coordinates.unknowns(known), nodes)
-        problem = self.at(None, point)
-        end = self._joined(self._minimise(problem, point, WHOLE), problem)
+        end = self._whole_from(point)
         is_end = end.linearised is not None and end.status != "unconverged"
         return end if is_end else None
 
@@ -308,8 +297,7 @@ class Climb:
                 if found.linearised is None:
                     break
                 minimum = found
-            problem = self.at(None, minimum.point)
-            ends.append(self._joined(self._minimise(problem, minimum.point, WHOLE), problem))
+            ends.append(self._whole_from(minimum.point))
             if self.run.is_over() or self._is_enough(ends):
                 break
         return ends
@@ -324,9 +312,7 @@ class Climb:
                 end = self._vouched(self.levels(), point)
                 if end is not None:
                     return [end]
-            grown = grow(self, point, rank)
-            problem = self.at(None, grown)
-            ends.append(self._joined(self._minimise(problem, grown, WHOLE), problem))
+            ends.append(self._whole_from(grow(self, point, rank)))
         return ends
 
     def _climbed(self, points):
@@ -408,6 +394,11 @@ class Climb:
         if end.linearised is None:
             return replace(end, point=lead.point, values=lead.values)
         return end
+
+    def _whole_from(self, point):
+        """The minimum of whole tracks that a point leads to."""
+        problem = self.at(None, point)
+        return self._joined(self._minimise(problem, point, WHOLE), problem)
 
     def _joined(self, minimum, problem):
         """A minimum of whole tracks; one whose intervals do not join is none."""
@@ -508,7 +499,7 @@ class Climb:
         goes; while they are wide, what it foresees of a small step is less than what it neglects,
         and it stalls. Where it stalls higher and higher, they do not join.
         """
-        low, high = self.box
+        low, high = self.run.low, self.run.high
         is_whole = settings is WHOLE
         if is_whole:
             settings = replace(WHOLE, hopeless=self.hopeless)
@@ -547,11 +538,6 @@ class Climb:
         left = float(np.sum(np.square(near.residual[seen]) / variance[seen]))
         return HOPELESS * left if 0 < left < math.inf else math.inf
 
-    @property
-    def box(self):
-        """Bounds of the unknowns."""
-        return self.run.low, self.run.high
-
     # --- starts ---------------------------------------------------------------------------------
 
     def first_points(self):
@@ -577,7 +563,6 @@ class Climb:
         return _unlike(points)[: run.most_starts]
 
     def _read_off(self):
-        """Nodes off the data, of every group."""
         nodes = tuple(first_nodes(chains, self.is_coarse) for chains in self.run.groups)
         if self.paper_steps:
             return tuple(map(stepped_nodes, self.run.groups, nodes))
@@ -629,8 +614,7 @@ class Climb:
         total, count = np.zeros(k), 0
         for flow, own in zip(self.flows, nodes, strict=True):
             flow.motion.set_constants(constants)
-            points = flow.points(own[..., flow.row, flow.chain], flow.start, flow.chain)
-            _, by_constant = flow.motion.slopes(points)
+            _, by_constant = flow.motion.slopes(flow.at(own, flow.row, flow.chain))
             with np.errstate(all="ignore"):
                 by_unknown = by_constant @ slopes
             good = np.isfinite(by_unknown).all(axis=(1, 2))
@@ -648,7 +632,7 @@ class Climb:
         return leading_rates(self.run.groups, self.noises)
 
     def stepped(self, constants, nodes=None):
-        """Where steps of the linearisation lead, the first constants held where they are.
+        """Where steps of the linearisation lead, first constants held; None if to nothing finite.
 
         Parameters
         ----------
@@ -656,11 +640,6 @@ class Climb:
             Of the first parameters; the others begin at zero, and are led to the data.
         nodes : sequence of ndarray, optional
             Near the data; read off these where there are none that fit.
-
-        Returns
-        -------
-        Minimum or None
-            None where a step leads to nothing finite.
         """
         if nodes is None or not self._can_begin_at(nodes):
             nodes = self._read_off()
@@ -690,17 +669,14 @@ class Climb:
     def probe_columns(self, minimum, motions, n_most):
         """Changes of the tracks by terms of strength zero, as columns local to every chain.
 
+        They are of shape (n_most + q, T, S, R, d) for every group.
+
         Parameters
         ----------
         motions : sequence of Motion
             Of the run's law with the terms behind it.
         n_most : int
             Columns of the initial state, which come first.
-
-        Returns
-        -------
-        list of ndarray, shape (n_most + q, T, S, R, d)
-            Per group.
         """
         constants, _ = self.coordinates.constants(minimum.values)
         n_more = len(motions[0].parameters) - len(constants)
@@ -750,9 +726,7 @@ class Climb:
                 return True
         for flow, nodes in zip(self.flows, minimum.point.nodes, strict=True):
             flow.motion.set_constants(constants)
-            state = nodes[..., flow.row, flow.chain]
-            points = flow.points(state, flow.start, flow.chain)
-            by_state, _ = flow.motion.slopes(points)
+            by_state, _ = flow.motion.slopes(flow.at(nodes, flow.row, flow.chain))
             stiffness = -by_state[:, :, : flow.n_state // 2]
             good = np.isfinite(stiffness).all(axis=(1, 2))
             if not good.any():

@@ -46,11 +46,7 @@ def strength_of(formula):
 class Coordinates:
     """Between the unknowns u of a fit and the constants of a law.
 
-    Parameters
-    ----------
-    parameters : sequence of (name, entity)
-    bases : dict of Formula to float
-        Typical value of every base of a fitted power.
+    `bases` has a typical value of every base of a fitted power, by formula.
     """
 
     def __init__(self, law, parameters, bases):
@@ -84,7 +80,6 @@ class Coordinates:
         return constants, slopes
 
     def unknowns(self, constants):
-        """The inverse of `constants`."""
         unknowns = np.array(constants, dtype=float)
         for rows, powers in self._rules:
             with np.errstate(all="ignore"):

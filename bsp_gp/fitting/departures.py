@@ -51,10 +51,7 @@ def departures(times, places, levels):
 def going_on(times, places):
     """By how much rows at the beginning fail to go on straight from the two beside them.
 
-    Returns
-    -------
-    ndarray, shape (T - 2,)
-        Root mean square of the first one, of the first two, ... along all axes.
+    Root mean square of the first one, of the first two, ... along all axes, (T - 2,).
     """
     steps = np.diff(times)
     early, late = np.diff(places, axis=0)[:-1], np.diff(places, axis=0)[1:]

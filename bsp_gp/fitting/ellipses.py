@@ -165,10 +165,6 @@ def eccentric_anomaly(mean, eccentricity):
     """The eccentric anomaly at mean ones, rad (Kepler's equation).
 
     By Halley's steps, from where J. M. A. Danby begins (Celestial Mechanics 40 (1987) 303).
-
-    Parameters
-    ----------
-    mean, eccentricity : float or ndarray, of shapes that broadcast
     """
     mean = np.mod(mean + math.pi, 2 * math.pi) - math.pi
     found = mean + START * eccentricity * np.sign(mean)

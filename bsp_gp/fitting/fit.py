@@ -24,9 +24,9 @@ from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.fitting.starts import roles_of, scales_of
 from bsp_gp.fitting.student import log_likelihood
-from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.fitting.tracks import chain_noises
 from bsp_gp.fitting.weighing import bears_outliers, informed, to_begin_with, weighed
-from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.engine.chains import build_chains, spread
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.linked import is_held
 from bsp_gp.physics.engine.motion import Motion
@@ -211,7 +211,6 @@ def fit(
     path : object, optional
         Whose ``nodes(times)`` says where the bodies are and how they move, shape (2, R, d, T, S):
         the same, instead of the tracks of a fit.
-    most_starts : int
 
     Raises
     ------
@@ -304,7 +303,7 @@ class _Run:
             self.law, dataset.scenes, dataset.up, dataset.velocity, may_lead=True
         )
         self.groups = hypothesis.followed(tuple(groups))
-        self.channels = _channels(self.groups)
+        self.channels = Channels.of(self.groups)
         self.roles = roles_of(self.law)
         self.is_over = _Patience(0.0, None, None)
         # Of descents of which a few tracks stayed behind: what is left of the others, these, and
@@ -318,7 +317,7 @@ class _Run:
     def _starts(self, hypothesis, starts):
         """Where parameters begin, (name, entity) -> float, as far as it is known."""
         names = {p.name for p in hypothesis.parameters}
-        _check_names("start", {_name(key) for key in starts}, names)
+        _check_names("start", {k[0] if isinstance(k, tuple) else k for k in starts}, names)
         given = {}
         for parameter, pair in zip(hypothesis.parameters, self.parameters, strict=True):
             known = self.law.constants.get(parameter.name, np.nan)
@@ -388,7 +387,7 @@ class _Run:
 
     @property
     def extent(self):
-        return max(float(np.nanmax(np.ptp(_filled(g.observed), axis=0))) for g in self.groups)
+        return max(float(spread(g.observed).max()) for g in self.groups)
 
     @property
     def is_exact(self):
@@ -441,13 +440,17 @@ class _Run:
         may_be = model.correlated and not model.is_correlation_known and not self.is_over()
         return may_be and minimum.status == "unconverged" and before.status == "converged"
 
+    @property
+    def dof(self):
+        """Rows beyond those that the parameters use up, one at least."""
+        return max(int(self.channels.seen.sum()) - len(self.parameters), 1)
+
     def resolved(self, model, minimum):
         """The noise of exact data: rounding, or what a law leaves that misses them by little more.
 
         What is left beyond that is no noise, and refutes the law.
         """
-        dof = max(int(self.channels.seen.sum()) - len(self.parameters), 1)
-        levels = np.array(model.levels) * max(np.sqrt(minimum.chisqr / dof), 1.0)
+        levels = np.array(model.levels) * max(np.sqrt(minimum.chisqr / self.dof), 1.0)
         if not np.nanmax(levels) <= RESOLUTION * self.extent:
             return model
         return replace(model, levels=tuple(map(float, levels)))
@@ -486,8 +489,7 @@ class _Run:
 
     def has_misfit(self, minimum):
         """Whether more is left than the noise that was assumed."""
-        dof = max(int(self.channels.seen.sum()) - len(self.parameters), 1)
-        return minimum.chisqr > MISFIT * dof
+        return minimum.chisqr > MISFIT * self.dof
 
     def noise_beside(self, climb, minimum, paper_steps):
         """The noise, told from what the law lacks by forces that know no physics."""
@@ -546,7 +548,6 @@ class _Run:
 
     @cached_property
     def motions(self):
-        """The law on every group."""
         return tuple(Motion(self.law, chains, self.parameters) for chains in self.groups)
 
     @cached_property
@@ -569,10 +570,12 @@ class _Run:
 
     def left_at(self, climb, minimum):
         """What every row is at a minimum, and observed less predicted, (T, C)."""
-        nodes = minimum.point.nodes
-        speeds = join(np.moveaxis(own[1], (-2, -1), (0, 1)) for own in nodes)
-        left = join(_left_at(climb, minimum))
-        return replace(self.channels, speed=np.abs(speeds)), left
+        return self.channels_at(minimum), join(_left_at(climb, minimum))
+
+    def channels_at(self, minimum):
+        """The channels with the speeds of a minimum."""
+        speeds = join(np.moveaxis(own[1], (-2, -1), (0, 1)) for own in minimum.point.nodes)
+        return replace(self.channels, speed=np.abs(speeds))
 
     @property
     def is_noise_estimated(self):
@@ -582,21 +585,7 @@ class _Run:
         """The rows' noise under a model, per group; white variances are divided by weights."""
         channels = channels or self.channels
         white, amplitude = model.parts(channels)
-        white = white / weights
-        out, first = [], 0
-        for chains in self.groups:
-            shape = chains.observed.shape
-            count = int(np.prod(shape[1:]))
-            part = slice(first, first + count)
-            first += count
-            out.append(
-                ChainNoise(
-                    chains.times, white[: shape[0], part].reshape(shape),
-                    np.nan_to_num(amplitude[: shape[0], part]).reshape(shape),
-                    model.correlation_time, model.adding,
-                )
-            )  # fmt: skip
-        return tuple(out)
+        return chain_noises(self.groups, white / weights, amplitude, model)
 
     def result(self, climb, minimum, model, paper_steps):
         """Everything that is said of a minimum."""
@@ -692,10 +681,10 @@ def _left_at(climb, minimum):
 
 
 def _tracks_of(run, climb, minimum):
-    residuals, whitened, locals_, shareds, variances, speeds = [], [], [], [], [], []
+    residuals, whitened, locals_, shareds, variances = [], [], [], [], []
     n_most = max(s.flow.n_state for s in climb.problem.shootings)
-    for shooting, nodes, noise, left, parts in zip(
-        climb.problem.shootings, minimum.point.nodes, climb.noises, _left_at(climb, minimum),
+    for shooting, noise, left, parts in zip(
+        climb.problem.shootings, climb.noises, _left_at(climb, minimum),
         minimum.linearised.condensed if minimum.linearised else [()] * len(run.groups),
         strict=True,
     ):  # fmt: skip
@@ -708,9 +697,8 @@ def _tracks_of(run, climb, minimum):
         locals_.append(own)
         shareds.append(shared)
         variances.append(noise.variance)
-        speeds.append(np.abs(np.moveaxis(nodes[1], (-2, -1), (0, 1))))
     return _Tracks(
-        replace(run.channels, speed=join(speeds)), join(residuals), join(whitened),
+        run.channels_at(minimum), join(residuals), join(whitened),
         np.nan_to_num(join(locals_)), np.nan_to_num(join(shareds)), join(variances),
     )  # fmt: skip
 
@@ -743,32 +731,6 @@ def _inverse(slopes):
         return np.linalg.inv(slopes)
     except np.linalg.LinAlgError:
         return np.full(slopes.shape, np.nan)
-
-
-def _channels(groups):
-    """What each coordinate of each body in each scene is, groups one after the other."""
-    bodies, scenes, axis, body, scene, chain = {}, {}, [], [], [], []
-    count = 0
-    for chains in groups:
-        for name, members in zip(chains.scenes, chains.bodies, strict=True):
-            at = scenes.setdefault(name, len(scenes))
-            for member in members:
-                body += [bodies.setdefault(member, len(bodies))] * chains.n_dims
-                scene += [at] * chains.n_dims
-                axis += range(chains.n_dims)
-                chain += [count] * chains.n_dims
-            count += 1
-    quoted = None
-    if any(chains.sigma is not None for chains in groups):
-        quoted = join(
-            np.full(c.observed.shape, np.nan) if c.sigma is None else c.sigma for c in groups
-        )
-    times = [np.broadcast_to(c.times[:, :, None, None], c.observed.shape) for c in groups]
-    return Channels(
-        times=join(times), seen=np.isfinite(join(c.observed for c in groups)),
-        axis=np.array(axis), body=np.array(body), scene=np.array(scene), chain=np.array(chain),
-        body_names=tuple(bodies), scene_names=tuple(scenes), quoted=quoted,
-    )  # fmt: skip
 
 
 def covariance_of(information):
@@ -808,10 +770,6 @@ def _same_noise(new, old):
     return bool(np.all(np.abs(a - b)[both] <= 1e-3 * b[both]))
 
 
-def _name(key):
-    return key[0] if isinstance(key, tuple) else key
-
-
 def _check_names(what, given, names):
     unknown = sorted(set(given) - names)
     if unknown:
@@ -819,8 +777,3 @@ def _check_names(what, given, names):
             f"{what} of {', '.join(unknown)}: the law has no such constant; it has "
             f"{', '.join(sorted(names)) or 'none'}"
         )
-
-
-def _filled(values):
-    """Values with gaps at the mean, for extents."""
-    return np.where(np.isfinite(values), values, np.nanmean(values))

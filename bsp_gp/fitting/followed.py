@@ -1,7 +1,5 @@
 """Laws fitted to all tracks that they can follow, and to the others as far as they can."""
 
-from __future__ import annotations
-
 import math
 import time
 
@@ -11,8 +9,6 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.fitting.parts.defects import LeftOut
-
-__all__ = ["PASSES", "about_ends", "about_lost", "cut_short", "followed"]
 
 PASSES = 3
 """Times that tracks are cut, at the most."""
@@ -28,8 +24,6 @@ def followed(hypothesis, dataset, *, deadline=None, **settings):
 
     Parameters
     ----------
-    hypothesis : Hypothesis
-    dataset : Dataset
     deadline : float, optional
         Seconds for all together.
     **settings

@@ -10,6 +10,8 @@ from functools import cached_property
 
 import numpy as np
 
+from bsp_gp.physics.engine.chains import spread
+
 STRENGTHS = np.logspace(-4, 14, 73)
 """Variances, in units of what one moment would show."""
 MEMORIES = 2.0 ** np.arange(1, 8)
@@ -66,12 +68,7 @@ class FreeForce:
         return np.maximum(values, 0.0), vectors
 
     def seen(self, left):
-        """What a force of one shows in each of the moments that tell it best, and those of `left`.
-
-        Returns
-        -------
-        values, turned : ndarray, shape (W, m)
-        """
+        """What a force of one shows in moments that tell it best, and those of `left`, (W, m)."""
         values, vectors = self.shown
         return values, (np.swapaxes(vectors, 1, 2) @ left[..., None])[..., 0]
 
@@ -100,8 +97,7 @@ class FreeForce:
         part, left = FreeForce(self.by_force[some], self.times[:, some]).telling(left[some])
         steps = np.diff(self.times, axis=0)
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-        spans = np.nanmax(self.times, axis=0) - np.nanmin(self.times, axis=0)
-        memories = [m for m in step * MEMORIES if m < np.max(spans)]
+        memories = [m for m in step * MEMORIES if m < spread(self.times).max()]
         if near is not None and near.memory:
             memories = [m for m in memories if near.memory / NEAR < m < near.memory * NEAR]
         heights = {}

@@ -5,8 +5,6 @@ times in a turn may pass its centre between two of them. A few rows that lie clo
 then the track is predicted to the next rows, and fitted again with them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bsp_gp.fitting.least_squares import minimise
@@ -14,8 +12,6 @@ from bsp_gp.fitting.problem import Settings
 from bsp_gp.fitting.shooting import Shooting, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise, TrackPoint, TrackProblem
 from bsp_gp.physics.engine.flow import Flow
-
-__all__ = ["RANKS", "grow", "seeds", "tried"]
 
 SEED_ROWS = 5
 RANKS = 3
@@ -49,9 +45,6 @@ def seeds(chains, noise, rows, rank=0):
 
     Parameters
     ----------
-    chains : Chains
-    noise : ChainNoise
-    rows : int
     rank : int
         0 for the best piece, 1 for the best that shares no row with it, and so on.
 
@@ -142,20 +135,9 @@ def _calmest(climb, group, rank):
 
 
 def grow(climb, point, rank=0):
-    """Fit ever more rows of the calmest chains, then of the others, from seeds to the whole.
+    """Fit ever more rows of the calmest chains, then of the others, from `seeds` to the whole.
 
-    Parameters
-    ----------
-    climb : Climb
-    point : TrackPoint
-        Constants to begin with, and nodes read off the data.
-    rank : int
-        Which seeds, see `seeds`.
-
-    Returns
-    -------
-    TrackPoint
-        With nodes at all rows; those behind a place where the track was lost as they were.
+    Nodes behind a place where the track was lost are as they were.
     """
     run = climb.run
     nodes = [own.copy() for own in point.nodes]
@@ -167,7 +149,8 @@ def grow(climb, point, rank=0):
         n_rows = sum(int((stop - first).sum()) for first, stop in places)
         is_lost = not chisqr < LOST * n_rows
         if is_lost and followed is not None:
-            is_single = share * _longest(followed[2]) < 1
+            longest = max(int((stop - first).max()) for first, stop in followed[2])
+            is_single = share * longest < 1
             values, kept, places = followed
             nodes, share = [own.copy() for own in kept], share / 2
         else:
@@ -184,11 +167,6 @@ def grow(climb, point, rank=0):
             _begin_next(climb, values, nodes, places)
         else:
             return TrackPoint(values, tuple(nodes))
-
-
-def _longest(places):
-    """Most rows of a chain between `places`."""
-    return max(int((stop - first).max()) for first, stop in places)
 
 
 def _is_whole(places, groups, begun):
@@ -261,7 +239,7 @@ def _fit_rows(climb, values, nodes, places, ridge, is_held=False):
         variance[~np.isfinite(cut.times)] = np.nan
         shootings.append(Shooting(flow, ChainNoise(cut.times, variance), cut_windows(cut.lengths)))
         own.append(full[..., rows, chain])
-    low, high = (values, values) if is_held else climb.box
+    low, high = (values, values) if is_held else (run.low, run.high)
     problem = TrackProblem(shootings, (None,) * len(own), climb.coordinates, ridge)
     point = problem.upon(np.clip(values, low, high), tuple(own))
     problem = problem.with_meshes(point)

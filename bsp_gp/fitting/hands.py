@@ -66,12 +66,8 @@ def without_hands(dataset, law):
     """The data set without rows at its ends at which a hand moves bodies, with a note; or None.
 
     Scenes of one moving body alone; nothing is done where rows are counted (`Evaluation`), where
-    velocities are data, or in the sky.
-
-    Parameters
-    ----------
-    law : ForceLaw
-        As it is declared; its constants are fitted to the middle halves of the scenes.
+    velocities are data, or in the sky. Constants of the law, as it is declared, are fitted to the
+    middle halves of the scenes.
     """
     if not may_lose_ends(dataset):
         return None
@@ -109,10 +105,13 @@ def without_hands(dataset, law):
 
 def _near(scene, levels, first, last):
     """Rows at both ends in a hand, none where these go so far that no arm reaches there."""
-    places = scene.positions[:, scene.dynamic[0]][:, np.isfinite(levels)]
-    return (
-        first if is_in_reach(places, first, 0) else 0, last if is_in_reach(places, last, 1) else 0
-    )  # fmt: skip
+    places, ends = _places(scene, levels), enumerate((first, last))
+    return tuple(n_rows if is_in_reach(places, n_rows, side) else 0 for side, n_rows in ends)
+
+
+def _places(scene, levels):
+    """Of the moving body, along axes along which anything moves, (T, a)."""
+    return scene.positions[:, scene.dynamic[0]][:, np.isfinite(levels)]
 
 
 def is_in_reach(places, n_rows, side):
@@ -124,17 +123,15 @@ def is_in_reach(places, n_rows, side):
 
 def _is_still(scene, levels):
     """Whether the moving body of a scene stays where it is."""
-    axes = np.isfinite(levels)
-    places = scene.positions[:, scene.dynamic[0]][:, axes]
-    return bool((np.ptp(places, axis=0) < MOVED * levels[axes]).all())
+    still = np.ptp(_places(scene, levels), axis=0) < MOVED * levels[np.isfinite(levels)]
+    return bool(still.all())
 
 
 def _pieces(scene, levels):
     """Rows of a piece of a scene, and the accelerations that are usual; None without such."""
     if len(scene.dynamic) != 1 or scene.first is not None:
         return None
-    axes = np.isfinite(levels)
-    places = scene.positions[:, scene.dynamic[0]][:, axes]
+    places = _places(scene, levels)
     if not np.isfinite(places).all() or scene.sigma is not None:
         return None
     if len(scene.times) > MOST_ROWS:
@@ -143,7 +140,7 @@ def _pieces(scene, levels):
     for rows in PIECES:
         if len(scene.times) < LEAST * rows:
             return None
-        error = _error(levels[axes], rows, step)
+        error = _error(levels, rows, step)
         bends = np.stack([
             _bend(scene.times[a : a + rows], places[a : a + rows])
             for a in range(0, len(scene.times) - rows + 1, rows)
@@ -161,7 +158,7 @@ def _bend(times, places):
 
 def _error(levels, rows, step):
     """Of an acceleration that a parabola through some rows tells, along all axes together."""
-    return float(np.linalg.norm(levels)) * np.sqrt(720.0 / rows**5) / step**2
+    return float(np.linalg.norm(levels[np.isfinite(levels)])) * np.sqrt(720.0 / rows**5) / step**2
 
 
 def _lacking(dataset, law, pieces, levels):
@@ -191,7 +188,7 @@ def _lacking(dataset, law, pieces, levels):
         rows, usual = pieces[scene.name]
         step = float(np.median(np.diff(scene.times)))
         lacks, whole = np.zeros((2, len(centres[scene.name]), len(axes)))
-        places = scene.positions[:, scene.dynamic[0]][:, axes]
+        places = _places(scene, levels)
         for k, centre in enumerate(centres[scene.name]):
             first = centre - rows // 2
             times = scene.times[first : first + rows]
@@ -201,19 +198,18 @@ def _lacking(dataset, law, pieces, levels):
                 lacks[k] = _bend(times, np.stack(left, axis=1))
             else:
                 lacks[k] = whole[k]
-        error = _error(levels[axes], rows, step)
+        error = _error(levels, rows, step)
         out[scene.name] = _Series(centres[scene.name], whole, lacks, error, usual)
     return out
 
 
 def _snippets(scenes, pieces, centres):
     """Rows of scenes about centres as scenes, each called by the first of them."""
-    out = []
-    for scene in scenes:
-        rows = pieces[scene.name][0]
-        for first in (centres[scene.name] - rows // 2).tolist():
-            out.append(replace(scene.rows(first, first + rows), name=f"{scene.name} {first}"))
-    return out
+    return [
+        replace(scene.rows(first, first + rows), name=f"{scene.name} {first}")
+        for scene in scenes for rows, _ in [pieces[scene.name]]
+        for first in (centres[scene.name] - rows // 2).tolist()
+    ]  # fmt: skip
 
 
 def _led(series, rows, half, count):

@@ -24,7 +24,7 @@ from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.force import key_of, tabled
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.physics.metrics import METRICS, error_of, one_step_errors, residual_accelerations
-from bsp_gp.units import ACCELERATION, Unit
+from bsp_gp.units import ACCELERATION, METRE
 
 LEAST_ROWS = 3
 """Rows that a state is fitted on, at least."""
@@ -38,19 +38,12 @@ ROUNDING = 1e-13
 
 @dataclass(frozen=True)
 class FixedForces(Forces):
-    """Forces whose constants keep their values.
-
-    Attributes
-    ----------
-    own : tuple of Parameter
-        Those of bodies and scenes that nothing is known of.
-    """
+    """Forces whose constants keep their values, but `own` ones of unknown bodies and scenes."""
 
     own: tuple = ()
 
     @property
     def parameters(self):
-        """What is not known."""
         return self.own
 
 
@@ -73,41 +66,28 @@ def known_in(found, dataset, scenes, *, deadline=None):
     """A fit whose law knows what belongs to other scenes alone, from their first rows."""
     if not _own(found.law, scenes) and not unknown_beyond(found.law, scenes):
         return found
+    head = _on_heads(found, dataset, scenes, deadline)
+    return found if head.is_failed else replace(found, law=head.law)
+
+
+def _on_heads(found, dataset, scenes, deadline):
+    """A fit with the states of scenes fitted on their first rows."""
     heads = tuple(s.rows(0, _n_head(dataset, s, False)) for s in scenes)
     heads, _ = without_outliers(heads, found.noise.levels)
-    head = with_states(found, dataset, heads, deadline=deadline)
-    return found if head.is_failed else replace(found, law=head.law)
+    return with_states(found, dataset, heads, deadline=deadline)
 
 
 def held_out_errors(found, dataset, scenes, *, deadline=None):
     """Errors of a fit on scenes that it has not seen.
 
-    Parameters
-    ----------
-    found : Fit
-    dataset : Dataset
-        For its axes, units and rows of evaluation.
-    deadline : float, optional
-        Seconds.
-
-    Returns
-    -------
-    Errors
-        nan where nothing is held out, or the fit has no finite constants.
+    They are nan where nothing is held out, or the fit has no finite constants.
     """
     return errors_of(held_out_rows(found, dataset, scenes, deadline=deadline), dataset.units)
 
 
 def errors_of(rows, units):
-    """The errors of rows of `held_out_rows`; nan where there are none.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-    units : Units
-        Of the data set.
-    """
-    said = {"unit": units.text(Unit.of(m=1)), "acceleration_unit": units.text(ACCELERATION)}
+    """The errors of rows of `held_out_rows`; nan where there are none."""
+    said = {"unit": units.text(METRE), "acceleration_unit": units.text(ACCELERATION)}
     if not rows:
         return Errors(**dict.fromkeys(METRICS, float("nan")), **said)
     with np.errstate(all="ignore"):  # a law that runs away has endless errors, and says so
@@ -117,23 +97,16 @@ def errors_of(rows, units):
 def predictions(found, dataset, scenes, *, deadline=None):
     """Positions that a fitted law foresees, from states fitted on the first rows.
 
-    Parameters
-    ----------
-    found : Fit
-    deadline : float, optional
-        Seconds.
-
-    Returns
-    -------
-    list of ndarray, shape (T, R, d), one per scene
-        inf where the motion runs away, nan for bodies that the first rows do not show.
+    One array (T, R, d) per scene: inf where the motion runs away, nan for bodies that the first
+    rows do not show.
     """
     scenes = shown(found, scenes)
     if dataset.is_of_sight:
         scenes = _at_rest(scenes)
     measured = _is_measured(dataset, scenes)
     begun = _begun(found.law, dataset, scenes, measured)
-    states = {} if measured or not begun else _first_states(found, dataset, begun, deadline)
+    is_asked = begun and not measured
+    states = _states_of(_on_heads(found, dataset, begun, deadline)) if is_asked else {}
     tracks = {scene.name: np.full(scene.positions[:, scene.dynamic].shape, np.nan)
               for scene in scenes}  # fmt: skip
     bodies = {s.name: [s.names[k] for k in s.dynamic] for s in scenes}
@@ -142,10 +115,9 @@ def predictions(found, dataset, scenes, *, deadline=None):
         tolerance = _tolerance(found, chains)
         nodes = roll(found.law, chains, first, tolerance, found.paper_steps)
         seen = sight(flow_of(found.law, chains, tolerance, found.paper_steps), nodes).places
-        for s, (scene, members) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
-            for r, name in enumerate(members):
-                track = tracks[scene]
-                track[:, bodies[scene].index(name)] = seen[: len(track), s, r]
+        for scene, name, s, r in chains.members():
+            track = tracks[scene]
+            track[:, bodies[scene].index(name)] = seen[: len(track), s, r]
     for scene in scenes:
         tracks[scene.name][:, _is_late(dataset, scene, measured)] = np.nan
     return [tracks[scene.name] for scene in scenes]
@@ -198,7 +170,6 @@ def _begun(law, dataset, scenes, measured):
 
 
 def _only(scene, kept):
-    """The scene with these entities alone."""
     fields = ("positions", "velocities", "sigma")
     arrays = {name: getattr(scene, name) for name in fields}
     arrays = {name: None if a is None else a[:, kept] for name, a in arrays.items()}
@@ -218,38 +189,20 @@ def _is_late(dataset, scene, measured):
     return np.isfinite(head).all(axis=-1).sum(axis=0) < (1 if measured else 2)
 
 
-def _first_states(found, dataset, scenes, deadline):
-    """States at the first row fitted on the first rows, (scene, body) -> (2, d)."""
-    heads = tuple(s.rows(0, _n_head(dataset, s, False)) for s in scenes)
-    heads, _ = without_outliers(heads, found.noise.levels)
-    return _states_of(with_states(found, dataset, heads, deadline=deadline))
-
-
 def _states_of(head):
     """First states of a fit, (scene, body) -> (2, d)."""
     return {
         (scene, name): nodes[:, r, :, 0, s]
         for chains, nodes in zip(head.groups, head.nodes, strict=True)
-        for s, (scene, members) in enumerate(zip(chains.scenes, chains.bodies, strict=True))
-        for r, name in enumerate(members)
+        for scene, name, s, r in chains.members()
     }
 
 
 def initial_states(dataset, law, *, paper_steps=False):
     """States at the first row of every scene, fitted on the first rows under a law as it is.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        Where velocities were measured, the first row is the state.
-    law : ForceLaw
-        Its constants have values.
-    paper_steps : bool
-
-    Returns
-    -------
-    dict of str to ndarray, shape (2, R, d)
-        Places and velocities of the moving bodies by the name of the scene.
+    Places and velocities of the moving bodies, (2, R, d), by the name of the scene. Where
+    velocities were measured, the first row is the state.
     """
     scenes = dataset.scenes
     if _is_measured(dataset, scenes):
@@ -266,27 +219,14 @@ def initial_states(dataset, law, *, paper_steps=False):
 def with_states(found, dataset, scenes, *, deadline=None):
     """The law of a fit as it is, with the initial states of other scenes fitted.
 
-    Returns
-    -------
-    Fit
-        Of no constants but those that belong to these scenes alone.
+    It has no constants but those that belong to these scenes alone.
     """
     scenes = replace(dataset, scenes=tuple(shown(found, scenes)), train=(), test=())
     return states_alone(found.law, found.paper_steps, found.noise, scenes, deadline)
 
 
 def states_alone(law, paper_steps, noise, dataset, deadline=None):
-    """Fit of initial states alone, under noise that is known.
-
-    Parameters
-    ----------
-    law : ForceLaw
-        With values.
-    paper_steps : bool or None
-    noise : NoiseModel
-    dataset : Dataset
-    deadline : float, optional
-    """
+    """Fit of initial states alone, under noise that is known."""
     noise = replace(noise, sources=("declared",) * len(noise.levels))
     own = _own(law, dataset.scenes)
     law = law.with_constants({
@@ -325,7 +265,6 @@ def held_out_rows(found, dataset, scenes, *, scatter=None, deadline=None):
 
     Parameters
     ----------
-    found : Fit
     scatter : tuple of float, metres, optional
         What `scatter_of` tells of the scenes, or of those that these are copies of.
     deadline : float, optional
@@ -335,7 +274,7 @@ def held_out_rows(found, dataset, scenes, *, scatter=None, deadline=None):
     -------
     list of dict
         The fields of `bsp_gp.physics.metrics.ERRORS`, the predicted positions `foreseen`
-        (T, R, d), and the number of rows `n_initial` that they start from. None for a fit without
+        (T, R, d), and the number of rows `n_initial` that they start from. None of a fit without
         finite constants.
     """
     scenes = tuple(shown(found, scenes))

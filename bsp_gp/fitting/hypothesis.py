@@ -14,7 +14,7 @@ from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.radian import RADIAN
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import FRAMING, ForceLaw, Term, constant_units, tabled
+from bsp_gp.physics.force import FRAMING, ForceLaw, Term, tabled
 from bsp_gp.units import ACCELERATION, FORCE, Unit
 
 NOTHING = "nothing"
@@ -90,7 +90,6 @@ class Part:
         return groups
 
     def describe(self):
-        """One sentence for people."""
         raise NotImplementedError
 
 
@@ -99,18 +98,24 @@ class Numbered(Part):
 
     @property
     def names(self):
-        """Of its constants."""
         return tuple(p.name for p in self.numbers)
 
     @property
     def parameters(self):
-        """The numbers."""
         return self.numbers
 
     def at(self, values):
         """The part at other values, mapping of name to number."""
         numbers = (replace(p, start=float(values[p.name])) for p in self.numbers)
         return replace(self, numbers=tuple(numbers))
+
+
+class Valued(Part):
+    """A part with a field `values`, where a fit of the numbers `names` begins."""
+
+    def at(self, values):
+        """The part at other values, mapping of name to number."""
+        return replace(self, values=tuple(float(values[name]) for name in self.names))
 
 
 @dataclass(frozen=True)
@@ -132,10 +137,7 @@ class Forces(Part):
 
     @property
     def parameters(self):
-        """The constants of the law."""
-        units = {}
-        for term in self.law.terms:
-            units.update(constant_units(term))
+        units = self.law.constant_units
         held = {p.name: p for part in self.law.frame for p in part.parameters}
         at = {name: self.law.constants.get(name, math.nan) for name in held}
         out = [p if math.isnan(at[p.name]) else replace(p, start=at[p.name]) for p in held.values()]
@@ -148,7 +150,6 @@ class Forces(Part):
         return tuple(out)
 
     def describe(self):
-        """The law as typed."""
         return f"F_i = {self.law.text(digits=False)}"
 
 
@@ -159,7 +160,6 @@ class Positions(Part):
     kind = "instrument"
 
     def describe(self):
-        """In words."""
         return "positions are measured"
 
 
@@ -185,11 +185,9 @@ class TrackNoise(Part):
 
     @property
     def parameters(self):
-        """What is estimated."""
         return tuple(p for p in self.model.parameters if p.is_free)
 
     def describe(self):
-        """In words."""
         return self.model.describe()
 
 
@@ -208,7 +206,6 @@ class Hypothesis:
         laws : ForceLaw or sequence of str
             Constants of a ForceLaw are where a fit begins; texts are one force each, as for
             ``--law``.
-        noise : NoiseModel, optional
         paper_steps : bool, optional
             See `Forces`.
 
@@ -253,7 +250,6 @@ class Hypothesis:
 
     @property
     def noise(self):
-        """The NoiseModel."""
         return next(part.model for part in self.parts if isinstance(part, TrackNoise))
 
     @property
@@ -301,12 +297,13 @@ class Hypothesis:
         return dataset
 
     def describe(self):
-        """One line per part."""
         return "\n".join(part.describe() for part in self.parts)
 
 
 def read_law(dataset, texts: Sequence[str]):
     """Read typed laws; LawError names the text that is wrong.
+
+    Terms are declared; constants are nan until they are fitted.
 
     Parameters
     ----------
@@ -314,11 +311,6 @@ def read_law(dataset, texts: Sequence[str]):
         One force each, e.g. ``"9.81 [m/s^2] * m_i * down"``, or a constraint, an equation such as
         ``"norm(p_i - (0, 1.2)) = L"``, or a string, ``"norm(p_i - (0, 1.2)) <= L"``. Named
         constants are fitted. ``"nothing"`` is no force: uniform motion.
-
-    Returns
-    -------
-    ForceLaw
-        Its terms are declared; constants are nan until they are fitted.
     """
     # Parts themselves:
     from bsp_gp.fitting.parts.constraints import is_string, read_constraint, read_string
@@ -409,17 +401,7 @@ def read_torque(text, types, units):
 
 
 def declared_law(dataset, texts: Sequence[str]):
-    """The same with constants at 1 until they are fitted.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    texts : sequence of str
-
-    Returns
-    -------
-    ForceLaw
-    """
+    """Read typed laws, see `read_law`, with constants at 1 until they are fitted."""
     law = read_law(dataset, texts)
     return law.with_constants({
         name: dict.fromkeys(value, 1.0) if hasattr(value, "items") else 1.0

@@ -15,17 +15,9 @@ GROUPS = 8
 
 
 def jackknife_errors(found):
-    """Standard errors of a fit's constants, and of how many parts.
+    """Standard errors of a fit's constants, (k,), and of how many parts.
 
-    Parameters
-    ----------
-    found : Fit
-
-    Returns
-    -------
-    errors : ndarray, shape (k,)
-        0 where what is left of the tracks does not tell a constant.
-    n_parts : int
+    They are 0 where what is left of the tracks does not tell a constant.
     """
     n_constants = len(found.parameters)
     part, n_parts = _parts(found)

@@ -58,7 +58,7 @@ class Jump:
 
 
 def jumps(times, places, levels=None):
-    """Instants at which the velocity of a track jumps, the rows on both sides being smooth.
+    """Jumps of the velocity of a track in the order of time, the rows on both sides being smooth.
 
     Parameters
     ----------
@@ -67,11 +67,6 @@ def jumps(times, places, levels=None):
         nan where not seen.
     levels : mapping of (int, int) to float, optional
         Where walls are known to stand, by axis and side: jumps there need not be as clear.
-
-    Returns
-    -------
-    list of Jump
-        In the order of time.
     """
     seen = np.isfinite(places).all(axis=1)
     times, places = times[seen], places[seen]
@@ -122,10 +117,7 @@ def scatter(places):
 def _jumps(times, places, rows, error, levels):
     """Jumps as (row behind it, Jump), told by so many rows on each side."""
     least = CLEAR_THERE if levels else CLEAR
-    window = np.lib.stride_tricks.sliding_window_view
-    t, x = window(times, 2 * rows), np.swapaxes(window(places, 2 * rows, axis=0), 1, 2)
-    middle = t[:, rows - 1 : rows + 1].mean(axis=1)
-    t = t - middle[:, None]
+    t, x, middle = windows(times, places, rows)
     numbers, left, rest, smooth = solved_alike(t, x, _explained)
     gains = surely = (rest - left) / error**2
     if SIDE_ROWS[0] < rows < LONGEST:  # where a wide swing turns it is no cubic, and no jump either
@@ -145,6 +137,17 @@ def _jumps(times, places, rows, error, levels):
             if surely[k] > CLEAR or _is_at(jump, levels):
                 out.append((k + rows, jump))
     return out
+
+
+def windows(times, places, rows):
+    """Windows of so many rows on each side: times since their middles, places, and the middles.
+
+    Of shapes (K, n), (K, n, d) and (K,).
+    """
+    window = np.lib.stride_tricks.sliding_window_view
+    t, x = window(times, 2 * rows), np.swapaxes(window(places, 2 * rows, axis=0), 1, 2)
+    middle = t[:, rows - 1 : rows + 1].mean(axis=1)
+    return t - middle[:, None], x, middle
 
 
 def _explained(t, x):
@@ -215,16 +218,7 @@ def solved_alike(t, x, solve):
 def between(times, places, found):
     """Places, velocities and accelerations of a track, from parabolas that pass over no jump.
 
-    Parameters
-    ----------
-    times : ndarray, shape (T,)
-    places : ndarray, shape (T, d)
-    found : list of Jump
-
-    Returns
-    -------
-    tuple of ndarray, shape (T, d)
-        nan where too few rows were seen between two jumps.
+    Each is (T, d), nan where too few rows were seen between two jumps.
     """
     out = np.full((3, *places.shape), np.nan)
     ends = [jump.time for jump in found]

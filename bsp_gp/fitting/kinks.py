@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from bsp_gp.fitting.jumps import scatter, solved, solved_alike
+from bsp_gp.fitting.jumps import scatter, solved, solved_alike, windows
 
 SIDE_ROWS = (6, 10, 16, 24)
 """Rows on each side of a kink that are looked at."""
@@ -55,14 +55,7 @@ class Kink:
 
 
 def kinks(times, places):
-    """Kinks of a track, in the order of time.
-
-    Parameters
-    ----------
-    times : ndarray, shape (T,)
-    places : ndarray, shape (T, d)
-        nan where not seen.
-    """
+    """Kinks of a track (T, d), nan where it was not seen, in the order of time."""
     seen = np.isfinite(places).all(axis=1)
     times, places = times[seen], places[seen]
     if len(times) < 2 * SIDE_ROWS[0] or not np.ptp(places, axis=0).any():
@@ -88,11 +81,9 @@ def _kinks(times, places, rows, error, clear):
     """Kinks as (row behind it, Kink), told by so many rows on each side."""
     if len(times) < 2 * rows:
         return []
-    window = np.lib.stride_tricks.sliding_window_view
-    t, x = window(times, 2 * rows), np.swapaxes(window(places, 2 * rows, axis=0), 1, 2)
-    middle = t[:, rows - 1 : rows + 1].mean(axis=1)
-    span = (t[:, -1] - t[:, 0]) / 2
-    u = (t - middle[:, None]) / span[:, None]
+    t, x, middle = windows(times, places, rows)
+    span = np.ptp(np.lib.stride_tricks.sliding_window_view(times, 2 * rows), axis=1) / 2
+    u = t / span[:, None]
     degree = min(DEGREE, rows - 3)
     numbers, left, smooth, bent = solved_alike(u, x, partial(_explained, degree=degree))
     dof = (2 * rows - degree - 3) * x.shape[2]

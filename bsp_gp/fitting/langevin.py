@@ -202,47 +202,32 @@ class _Problem:
             ("memory", has_memory),
         ) if has]  # fmt: skip
         bounds = [self._bounds(name) for name in names]
+
+        def height(x):
+            return self.height(dict(zip(names, x, strict=True)), terms, is_overdamped)[0]
+
         best, starts = None, self._starts(names, terms, is_overdamped)
         if beside is not None and names:
             starts.append(self._as_start(names, beside))
         for start in starts:
-            start = np.clip(start, *np.transpose(bounds)) if names else start
-            height = lambda x: -self.height(dict(zip(names, x, strict=True)), terms,  # noqa: E731
-                                            is_overdamped)[0]  # fmt: skip
             if not names:
-                found = np.zeros(0), height(start)
+                found = np.zeros(0), -height(start)
             else:
-                done = minimize(height, start, method="L-BFGS-B", bounds=bounds,
+                start = np.clip(start, *np.transpose(bounds))
+                done = minimize(lambda x: -height(x), start, method="L-BFGS-B", bounds=bounds,
                                 options={"maxiter": 60, "eps": 1e-5})  # fmt: skip
                 found = done.x, float(done.fun)
             if best is None or found[1] < best[1]:
                 best = found
-        at = dict(zip(names, best[0], strict=True))
-        _, offsets = self.height(at, terms, is_overdamped)
-        told = self._told(terms, is_overdamped, names, best[0], bounds, offsets, -best[1])
+        x, top = best[0], -best[1]
+        _, offsets = self.height(dict(zip(names, x, strict=True)), terms, is_overdamped)
+        covariance = _covariance(height, x, bounds)
+        told = self._told(terms, is_overdamped, names, x, covariance, offsets, top)
         value, low, high = told.values.get("noise", (0.0, 0.0, 0.0))
         if "kicks" in terms and high > UNSEEN * value:
-            most = self._most_noise(names, best[0], bounds, terms, is_overdamped, -best[1])
+            most = _most(height, names.index("noise"), x, bounds, top)
             told.values["noise"] = value, low, most * self.size
         return replace(told, is_blurred=is_blurred)
-
-    def _most_noise(self, names, x, bounds, terms, is_overdamped, top):
-        """The greatest noise that is not excluded, where the best is next to none (profile)."""
-        at = names.index("noise")
-        others = [k for k in range(len(names)) if k != at]
-        start, beside = np.array(x, dtype=float), [bounds[k] for k in others]
-
-        def below(level):
-            def height(rest):
-                start[others], start[at] = rest, level
-                return -self.height(dict(zip(names, start, strict=True)), terms, is_overdamped)[0]
-
-            done = minimize(height, x[others], method="L-BFGS-B", bounds=beside,
-                            options={"maxiter": 20, "eps": 1e-5})  # fmt: skip
-            return top + done.fun - Z_90**2 / 2
-
-        low, high = float(x[at]), float(bounds[at][1])
-        return float(np.exp(brentq(below, low, high, xtol=0.05))) if below(high) > 0 else np.inf
 
     def _bounds(self, name):
         """Of the logarithm of a parameter."""
@@ -366,9 +351,8 @@ class _Problem:
 
     # --- what is told ----------------------------------------------------------------------------
 
-    def _told(self, terms, is_overdamped, names, x, bounds, offsets, height):
+    def _told(self, terms, is_overdamped, names, x, covariance, offsets, height):
         """A model with its numbers and intervals in SI."""
-        covariance = self._covariance(names, x, bounds, terms, is_overdamped)
         size, step = self.size, self.step
         logs = {name: np.eye(len(names))[k] for k, name in enumerate(names)}
         units = {
@@ -415,34 +399,55 @@ class _Problem:
             value, half = scale * middle[k], Z_90 * scale * np.sqrt(variance[k])
             out[f"{name}_{axis}"] = tuple(float(origin[k] + value + z * half) for z in (0, -1, 1))
 
-    def _covariance(self, names, x, bounds, terms, is_overdamped):
-        """Of the logarithms, from the curvature; what stands at a bound is held."""
-        n = len(names)
-        out = np.zeros((n, n))
-        free = [k for k in range(n) if bounds[k][0] + 1e-6 < x[k] < bounds[k][1] - 1e-6]
-        if not free:
-            return out
-        h = 0.02
 
-        def height(shift):
-            y = np.array(x, dtype=float)
-            y[free] += shift
-            return self.height(dict(zip(names, y, strict=True)), terms, is_overdamped)[0]
+def _most(height, at, x, bounds, top):
+    """The greatest value of a logarithm that is not excluded where the best is low (profile), e^it.
 
-        m = len(free)
-        eye, curve = h * np.eye(m), np.zeros((m, m))
-        middle = height(np.zeros(m))
-        for a in range(m):
-            up, down = height(eye[a]), height(-eye[a])
-            curve[a, a] = (2 * middle - up - down) / h**2
-            for b in range(a):
-                cross = (height(eye[a] + eye[b]) + height(-eye[a] - eye[b])
-                         - height(eye[a] - eye[b]) - height(eye[b] - eye[a]))  # fmt: skip
-                curve[a, b] = curve[b, a] = -cross / (4 * h**2)
-        values, vectors = np.linalg.eigh(curve)
-        values = np.maximum(values, 1e-2)  # what the data do not tell is open over decades
-        out[np.ix_(free, free)] = (vectors / values) @ vectors.T
+    Of a log-likelihood whose greatest is `top`, at x.
+    """
+    others = [k for k in range(len(x)) if k != at]
+    start, beside = np.array(x, dtype=float), [bounds[k] for k in others]
+
+    def below(level):
+        def loss(rest):
+            start[others], start[at] = rest, level
+            return -height(start)
+
+        done = minimize(loss, x[others], method="L-BFGS-B", bounds=beside,
+                        options={"maxiter": 20, "eps": 1e-5})  # fmt: skip
+        return top + done.fun - Z_90**2 / 2
+
+    low, high = float(x[at]), float(bounds[at][1])
+    return float(np.exp(brentq(below, low, high, xtol=0.05))) if below(high) > 0 else np.inf
+
+
+def _covariance(height, x, bounds):
+    """Of the numbers of a log-likelihood, from its curvature; what stands at a bound is held."""
+    n = len(x)
+    out = np.zeros((n, n))
+    free = [k for k in range(n) if bounds[k][0] + 1e-6 < x[k] < bounds[k][1] - 1e-6]
+    if not free:
         return out
+    h, m = 0.02, len(free)
+
+    def moved(shift):
+        y = np.array(x, dtype=float)
+        y[free] += shift
+        return height(y)
+
+    eye, curve = h * np.eye(m), np.zeros((m, m))
+    middle = moved(np.zeros(m))
+    for a in range(m):
+        up, down = moved(eye[a]), moved(-eye[a])
+        curve[a, a] = (2 * middle - up - down) / h**2
+        for b in range(a):
+            cross = (moved(eye[a] + eye[b]) + moved(-eye[a] - eye[b])
+                     - moved(eye[a] - eye[b]) - moved(eye[b] - eye[a]))  # fmt: skip
+            curve[a, b] = curve[b, a] = -cross / (4 * h**2)
+    values, vectors = np.linalg.eigh(curve)
+    values = np.maximum(values, 1e-2)  # what the data do not tell is open over decades
+    out[np.ix_(free, free)] = (vectors / values) @ vectors.T
+    return out
 
 
 @dataclass(frozen=True)
@@ -491,12 +496,6 @@ class _Model:
             by_place @ push[..., None])[..., 0] + pushed
 
 
-def _spread_of(first):
-    """The covariance of a state that a triangular matrix makes white."""
-    wide = np.linalg.inv(first)
-    return wide @ wide.T
-
-
 def _over(drift, noise, push, steps):
     """Transitions of a linear motion over time steps, see `_Model.transitions`."""
     n = len(drift)
@@ -513,10 +512,7 @@ def _over(drift, noise, push, steps):
 class _Part:
     """One track, in units of rows and steps, about its first place.
 
-    Parameters
-    ----------
-    number : ndarray of int, shape (T - 1,)
-        Which kind of step leads from each row to the next.
+    `number` (T - 1,) says which kind of step leads from each row to the next.
     """
 
     def __init__(self, times, places, number):
@@ -530,12 +526,15 @@ class _Part:
         2`` on each axis.
         """
         errors, log_det = self._filtered(model, moves, speed, far)
-        gram = errors.T @ errors
+        height, right, square = self._of_gram(errors.T @ errors, log_det)
+        return height, -right, square
+
+    def _of_gram(self, gram, log_det):
         n_rows, n_dims = self.places.shape
         height = -0.5 * np.trace(gram[:n_dims, :n_dims]) - 0.5 * n_dims * float(
             log_det + n_rows * LOG_TURN
         )
-        return float(height), -gram[:n_dims, -1], float(gram[-1, -1])
+        return float(height), gram[:n_dims, -1], float(gram[-1, -1])
 
     def forecast(self, model, moves, push, speed, far):
         """Errors of one-step forecasts under a push (d,), of unit size, (T, d)."""
@@ -543,13 +542,12 @@ class _Part:
         return errors[:, :-1] + errors[:, -1:] * push
 
     def _filtered(self, model, moves, speed, far):
-        first = _spread_of(model.first(speed, far))
+        wide = np.linalg.inv(model.first(speed, far))  # from what makes the first state white
         seen = np.concatenate([self.places, np.zeros((len(self.places), 1))], axis=1)
-        return _forecasts(*moves, self.number, seen, first, float(model.noise) ** 2)
+        return _forecasts(*moves, self.number, seen, wide @ wide.T, float(model.noise) ** 2)
 
     def drawn(self, model, moves, speed, far):
         """The same of a motion without kicks."""
-        n_rows, n_dims = self.places.shape
         f, _, push = moves
         n = f.shape[1]
         columns = _carried(f, push, self.number) / model.noise
@@ -560,12 +558,8 @@ class _Part:
         both = np.concatenate([rows, columns[:, n:]], axis=1)
         fitted = np.linalg.solve(whole, own.T @ both)
         left = both - own @ fitted
-        gram = left.T @ left + fitted.T @ fitted
-        log_det = np.linalg.slogdet(whole)[1] + 2 * n_rows * np.log(model.noise)
-        height = -0.5 * np.trace(gram[:n_dims, :n_dims]) - 0.5 * n_dims * float(
-            log_det + n_rows * LOG_TURN
-        )
-        return float(height), gram[:n_dims, -1], float(gram[-1, -1])
+        log_det = np.linalg.slogdet(whole)[1] + 2 * len(rows) * np.log(model.noise)
+        return self._of_gram(left.T @ left + fitted.T @ fitted, log_det)
 
 
 @compiled

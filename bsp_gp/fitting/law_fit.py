@@ -34,10 +34,10 @@ from bsp_gp.fitting.rests import without_rests
 from bsp_gp.fitting.weighing import bears_outliers
 from bsp_gp.physics.aliasing import aliasing_notes
 from bsp_gp.physics.bodies import stack
-from bsp_gp.physics.force import ForceLaw, constant_units, needs_masses
+from bsp_gp.physics.force import ForceLaw, needs_masses
 from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.randomness import Random, generator
-from bsp_gp.units import Unit
+from bsp_gp.units import METRE, Unit
 
 SCHEMA = "bsp_gp/fit/2"
 MAX_TOLD = 5
@@ -58,7 +58,6 @@ class LawFit:
 
     Attributes
     ----------
-    dataset : str
     law : ForceLaw
         With the fitted constants.
     law_text : str
@@ -90,7 +89,6 @@ class LawFit:
         Starts, and those that led to this minimum.
     gradient : float
         Largest cosine between the residual and the change by a constant, 0 at a minimum.
-    split : str
     notes : tuple of str
         Those that begin with "check: " cast a doubt on the result.
     """
@@ -169,7 +167,6 @@ def fit_law(
 
     Parameters
     ----------
-    dataset : Dataset
     laws : ForceLaw, str or sequence of str
         The forces; named constants are fitted, whatever values a ForceLaw has for them.
     rng : numpy.random.Generator, int or None
@@ -183,10 +180,6 @@ def fit_law(
         Between which constants stay, in the same units.
     time_limit : float, optional
         Seconds after which the fit is ended and what was found is told.
-
-    Returns
-    -------
-    LawFit
 
     Raises
     ------
@@ -351,23 +344,13 @@ def constant_estimates(found, dataset, bounds=None):
 
     Of a number that cannot be nothing (its bound lies above 0), and whose prior is logarithmic,
     they are symmetric in its logarithm. A strength may be nothing, and its interval may say so.
-
-    Parameters
-    ----------
-    found : Fit
-    dataset : Dataset
-        For its units.
-    bounds : dict of str to (float, float), optional
     """
     from scipy.stats import t as student_t  # a slow import
 
     bounds, wider = bounds or {}, widening(found)
 
     dof = max(found.n_rows - found.n_free, 1) if found.noise.is_free.any() else math.inf
-    units = {}
-    for term in found.law.terms:
-        for name, unit in constant_units(term).items():
-            units[name] = dataset.units.text(unit)
+    units = {n: dataset.units.text(unit) for n, unit in found.law.constant_units.items()}
     priors, positive = {}, set()
     for part in found.law.frame:
         text = Unit.text if getattr(part, "is_absolute", False) else dataset.units.text
@@ -431,7 +414,7 @@ def about_noise(model, said, units):
     has_memory = model.correlated > 0
     return {
         "sigma": [float(level) for level in model.levels],
-        "unit": units.text(Unit.of(m=1)),
+        "unit": units.text(METRE),
         "source": said.source,
         "method": f"under the law: {model.describe()}" if is_estimated else said.method,
         "correlation_time": float(model.correlation_time) if has_memory else None,

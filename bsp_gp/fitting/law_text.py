@@ -11,16 +11,7 @@ UNKNOWN = "—"
 
 
 def fit_text(found):
-    """The fit as a table for a terminal; variables stand with their 90 % intervals.
-
-    Parameters
-    ----------
-    found : LawFit
-
-    Returns
-    -------
-    str
-    """
+    """The fit as a table for a terminal; variables stand with their 90 % intervals."""
     e = found.errors
     lines = [
         "[[Model]]", f"    F_i = {found.law_text}",
@@ -65,15 +56,7 @@ def _errors(e):
 
 
 def how_it_ended(found, constants, time_limit=None):
-    """The status of a fit in words: what it means and, where it is not good, what to do.
-
-    Parameters
-    ----------
-    found : Fit
-    constants : sequence of ConstantEstimate
-    time_limit : float, optional
-        Seconds that it had.
-    """
+    """The status of a fit in words: what it means and, where it is not good, what to do."""
     if found.status == "nonfinite":
         return (
             "failed, no value of the constants gives finite tracks; give --start and --bounds, or "
@@ -120,14 +103,7 @@ def _starts(found):
 
 
 def without_prediction(found, rollout_rmse):
-    """A note where a fitted law has no track on what is held out; empty where it has.
-
-    Parameters
-    ----------
-    found : Fit
-    rollout_rmse : float
-        Of the held-out scenes; inf where the motion runs away.
-    """
+    """A note where a fitted law has no track on what is held out; empty where it has."""
     if found.is_failed or not math.isinf(rollout_rmse):
         return []
     roles = roles_of(found.law)
@@ -143,16 +119,7 @@ def without_prediction(found, rollout_rmse):
 
 
 def doubts(found, widening, has_test):
-    """Notes on what is doubtful about a fit.
-
-    Parameters
-    ----------
-    found : Fit
-    widening : float
-        Factor on the standard errors.
-    has_test : bool
-        Whether anything is held out.
-    """
+    """Notes on what is doubtful about a fit."""
     notes = []
     if found.is_failed:
         notes.append(f"{CHECK}the fit failed ({found.status}): its values say nothing of the law")
@@ -222,13 +189,7 @@ def _rounded(value, half):
 
 
 def strong_correlations(constants, correlation):
-    """Pairs of constants whose correlation exceeds 0.1, strongest first: (a, b, value).
-
-    Parameters
-    ----------
-    constants : sequence of ConstantEstimate
-    correlation : ndarray, shape (k, k)
-    """
+    """Pairs of constants whose correlation exceeds 0.1, strongest first: (a, b, value)."""
     names = [label(c) for c in constants]
     pairs = [
         (names[a], names[b], float(correlation[a, b]))

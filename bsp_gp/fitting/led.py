@@ -19,20 +19,12 @@ SETTLED = 0.02
 
 
 def led_by(groups, found):
-    """Groups of chains whose bodies are led by the tracks of a fit; None where nothing changes.
+    """Groups of chains with bodies led by the tracks of a fit, where these are near what was seen.
 
-    Parameters
-    ----------
-    groups : tuple of Chains
-    found : Fit
-        Whose tracks count where they are near what was seen.
-
-    Returns
-    -------
-    tuple of Chains or None
+    None where nothing changes.
     """
     seen = _seen(groups)
-    if not any(_leads(chains, seen) for chains in groups):
+    if not any(are_led(chains, seen) for chains in groups):
         return None
     tracks = _tracks(found, seen)
     pairs = [_led(chains, tracks) for chains in groups]
@@ -43,19 +35,17 @@ def led_by(groups, found):
 
 def _seen(groups):
     """Times and measured places of the bodies that forces move, by scene and body."""
-    out = {}
-    for chains in groups:
-        for s, (scene, bodies) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
-            n = int(chains.lengths[s])
-            for r, body in enumerate(bodies):
-                out[scene, body] = chains.times[:n, s], chains.observed[:n, s, r]
-    return out
+    return {
+        (scene, body): (chains.times[:n, s], chains.observed[:n, s, r])
+        for chains in groups for scene, body, s, r in chains.members()
+        for n in [int(chains.lengths[s])]
+    }  # fmt: skip
 
 
-def _leads(chains, seen):
-    """Whether bodies that forces move stand beside chains, where they were seen."""
+def are_led(chains, moving):
+    """Whether bodies that forces move, by scene and name, stand beside chains."""
     beside = zip(chains.scenes, chains.fixed, strict=True)
-    return any((scene, body) in seen for scene, fixed in beside for body in fixed)
+    return any((scene, body) in moving for scene, fixed in beside for body in fixed)
 
 
 def _tracks(found, seen):
@@ -67,22 +57,21 @@ def _tracks(found, seen):
     for chains, nodes in zip(found.groups, found.nodes, strict=True):
         if nodes.shape[-2] != len(chains.times):  # it is known at other rows
             continue
-        for s, (scene, bodies) in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
+        for scene, body, s, r in chains.members():
             n = int(chains.lengths[s])
             if n < np.isfinite(chains.driven_times[:, s]).sum():  # others are led for longer
                 continue
-            for r, body in enumerate(bodies):
-                times, places = seen.get((scene, body), (None, None))
-                states = np.moveaxis(nodes[:, r, :, :n, s], 1, 2)
-                if times is None or not np.array_equal(times, chains.times[:n, s]):
-                    continue
-                rows = np.isfinite(places).all(axis=1)
-                moving = np.ptp(places[rows], axis=0) > 0 if rows.any() else np.zeros(1, dtype=bool)
-                if rows.sum() < LEAST_ROWS or not moving.any() or not np.isfinite(states).all():
-                    continue
-                error, off = scatter(places), (states[0] - places)[rows][:, moving]
-                if np.sqrt(np.mean(np.square(off))) <= NEAR * error:
-                    out[scene, body] = states, error
+            times, places = seen.get((scene, body), (None, None))
+            states = np.moveaxis(nodes[:, r, :, :n, s], 1, 2)
+            if times is None or not np.array_equal(times, chains.times[:n, s]):
+                continue
+            rows = np.isfinite(places).all(axis=1)
+            moving = np.ptp(places[rows], axis=0) > 0 if rows.any() else np.zeros(1, dtype=bool)
+            if rows.sum() < LEAST_ROWS or not moving.any() or not np.isfinite(states).all():
+                continue
+            error, off = scatter(places), (states[0] - places)[rows][:, moving]
+            if np.sqrt(np.mean(np.square(off))) <= NEAR * error:
+                out[scene, body] = states, error
     return out
 
 

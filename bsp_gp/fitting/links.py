@@ -67,7 +67,7 @@ class Links:
 
 
 def link(pieces, changes, white, nodes, n_state):
-    """Join pieces.
+    """Join pieces; None where no piece leads to another.
 
     Parameters
     ----------
@@ -77,12 +77,6 @@ def link(pieces, changes, white, nodes, n_state):
         Of whitened rows, what is left of them last.
     nodes : ndarray, shape (2, R, d, L, W)
         States about which this is linear.
-    n_state : int
-
-    Returns
-    -------
-    Links or None
-        None where no piece leads to another.
     """
     ends = np.isfinite(nodes).all(axis=(0, 1, 2)).sum(axis=0) - 1
     n_forces = changes.shape[0] * n_state // 2
@@ -160,13 +154,7 @@ def _stacked(found, n_forces):
 
 
 def less_exact(by_force, moments, error):
-    """Moments (W, m, c) of unit error that were so but for errors of forces, of variances (W, F).
-
-    Parameters
-    ----------
-    by_force : ndarray, shape (W, m, F)
-        The moments by forces.
-    """
+    """Moments (W, m, c) of unit error that were so but for errors of forces, variances (W, F)."""
     if not error.any():
         return moments
     covariance = (by_force * error[:, None]) @ np.swapaxes(by_force, 1, 2)

@@ -104,17 +104,10 @@ def _sized(model, channels, residual, columns, local):
 
 
 def estimate_beside(model, channels, residual, columns, local, probes):
-    """The noise beside probes, columns for whatever the fit's law may lack.
+    """The noise beside probes (q, T, C), columns of each chain for what the fit's law may lack.
 
     Where the probes take off no more than chance would, rows that they happen to follow may show
     parts of the noise that the law itself does not bear out: both must show them then.
-
-    Parameters
-    ----------
-    model, channels, residual, columns, local
-        As `estimate` takes them.
-    probes : ndarray, shape (q, T, C)
-        Further columns of every chain.
     """
     rows = _stretches(model, channels)
     if rows is not None:
@@ -139,11 +132,6 @@ def needs(model, channels, residual, columns, local, probes):
     """Whether probes take off more than chance of what a fit leaves under a noise: an F test.
 
     Memory is as the noise has it; free levels are told beside the probes.
-
-    Parameters
-    ----------
-    model, channels, residual, columns, local, probes
-        As `estimate_beside` takes them.
     """
     rows = _stretches(model, channels)
     if rows is not None:

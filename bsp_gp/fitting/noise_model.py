@@ -35,8 +35,6 @@ class NoiseParameter:
     ----------
     unit : str
         "m", "s" or "".
-    is_free : bool
-        Whether it is estimated.
     """
 
     name: str
@@ -213,13 +211,7 @@ class NoiseModel:
         return np.where(seen, white, np.nan), amplitude
 
     def whitener(self, channels, weights=None):
-        """Whitens errors (..., T, C).
-
-        Parameters
-        ----------
-        weights : ndarray, shape (T, C), optional
-            Of rows, as `tail_weights` gives them: white variances are divided by them.
-        """
+        """Whitens errors (..., T, C); white variances are divided by weights (T, C) of the rows."""
         white, amplitude = self.parts(channels)
         if weights is not None:
             white = white / weights
@@ -229,10 +221,7 @@ class NoiseModel:
     def tail_weights(self, scaled, channels):
         """Weights of rows under Student's t, 1 where it does not apply, shape (T, C).
 
-        Parameters
-        ----------
-        scaled : ndarray, shape (T, C)
-            Residual in units of the size that it would have without tails.
+        They are those of the residual in units of the size that it would have without tails.
         """
         if math.isinf(self.degrees):
             return np.ones(channels.seen.shape)
@@ -264,7 +253,6 @@ class NoiseModel:
         return tuple(found)
 
     def describe(self):
-        """One line for people."""
         axes = zip("xyz", self.levels, self.sources, strict=False)
         per, unit, kind = 1.0, "m", ""
         if self.adding:

@@ -16,6 +16,7 @@ from bsp_gp.fitting.ascent import maximise
 from bsp_gp.fitting.restricted import Restricted
 from bsp_gp.fitting.student import fit_degrees, scaled_without_tails
 from bsp_gp.fitting.whitening import log_likelihood
+from bsp_gp.physics.engine.chains import spread
 
 _SCALE = (math.log(1e-6), math.log(1e6))
 _SHARE = (-6.0, 14.0)
@@ -52,11 +53,6 @@ PRECISION = 1e-6
 
 class NoiseTask:
     """One residual, and the noise laws that are tried on it.
-
-    Parameters
-    ----------
-    model, channels, residual, columns, local
-        As `estimate` takes them.
 
     Attributes
     ----------
@@ -189,15 +185,12 @@ class NoiseTask:
     def time_bounds(self):
         """Shortest and longest correlation time that these tracks can tell."""
         times = np.where(self.channels.seen, self.channels.times, np.nan)
-        span = np.nanmax(times, axis=0, initial=-math.inf) - np.nanmin(
-            times, axis=0, initial=math.inf
-        )
         steps = np.diff(times, axis=0)
         steps = steps[np.isfinite(steps)]
         if not steps.size:  # bodies that are seen by turns: from one sight to the next
             steps = np.concatenate([np.diff(column[np.isfinite(column)]) for column in times.T])
         low = MIN_TIME * float(np.median(steps))
-        return low, max(MAX_TIME * float(span.max()), 2.0 * low)
+        return low, max(MAX_TIME * float(spread(times).max()), 2.0 * low)
 
     def averaged(self, model):
         """The model with the mean of the correlation time's logarithm in place of its maximum.

@@ -41,7 +41,6 @@ def without_outliers(scenes, sigma):
 
     Returns
     -------
-    scenes : tuple of Scene
     found : tuple of (str, str, float)
         What is not seen any more: body, scene, and when, s.
     """

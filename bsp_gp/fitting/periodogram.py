@@ -5,6 +5,7 @@ from scipy.signal import zoom_fft
 
 from bsp_gp.fitting.channels import join
 from bsp_gp.language.formula import Call, walk
+from bsp_gp.physics.engine.chains import spread
 
 OVERSAMPLING = 4
 MOST_RATES = 8
@@ -34,14 +35,10 @@ lacks: a change of its size or rate, or of the form of what drives it back."""
 
 
 def leading_rates(groups, noises):
-    """Angular frequencies of the highest peaks of the tracks' periodogram, highest first.
+    """Angular frequencies of the highest peaks of the tracks' periodogram, highest first, rad/s.
 
     Lines and parabolas are taken out of every track first; between half a turn a track and the
     Nyquist frequency of the median spacing.
-
-    Returns
-    -------
-    list of float, rad/s
     """
     rates = _rates(
         max(float(np.nanmax(c.times) - np.nanmin(c.times)) for c in groups),
@@ -68,17 +65,11 @@ def leading_rates(groups, noises):
 
 
 def is_of_swing(rate, found):
-    """Whether a push of some rate has the period of the swing that is there without it.
+    """Whether a push of some rate, rad/s, has the period of the swing that a fit without it has.
 
     What an oscillator lacks, or has otherwise, looks like a push with its own period; and where a
     law foresees no swing, what drives back from both sides makes the same track as such a push. A
     second track, from elsewhere, tells these apart.
-
-    Parameters
-    ----------
-    rate : float, rad/s
-    found : Fit
-        Without that push.
     """
     swing, span = swing_of(found, foreseen=True), longest(found)
     if not swing and len(found.channels.scene_names) == 1:
@@ -99,8 +90,7 @@ def rates_in(formula):
 
 def longest(found):
     """Seconds from the first to the last row of the longest track of a fit."""
-    times = found.channels.times
-    return float(np.max(np.nanmax(times, axis=0) - np.nanmin(times, axis=0)))
+    return float(spread(found.channels.times).max())
 
 
 def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
@@ -108,7 +98,6 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
 
     Parameters
     ----------
-    found : Fit
     foreseen : bool
         As its law has them, then.
     body : str, optional

@@ -1,18 +1,14 @@
 """Pieces of tracks, short enough that what forces do to them is a small matrix."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bsp_gp.fitting.led import are_led
 from bsp_gp.fitting.shooting import Windows, cut_windows
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.physics.bodies import Bodies
 from bsp_gp.physics.engine.driven import Driven
-from bsp_gp.physics.geometry import Shapes
-
-__all__ = ["Pieces", "cut_pieces"]
 
 MOST_COORDINATES = 300
 """Coordinates of a piece at the most, and its least number of rows."""
@@ -71,14 +67,12 @@ class Pieces:
         return out
 
     def chains(self, chains):
-        """The pieces as chains of their own."""
         cut = chains.pieces(self.chain, self.first, self.stop + self.leads)
         rows, _ = self._gather
         seen = (rows < self.stop)[..., None, None]
         return replace(cut, observed=np.where(seen, cut.observed, np.nan))
 
     def noise(self, noise):
-        """The noise of their rows."""
         rows, inside = self._gather
         inside_ = (inside & (rows < self.stop))[..., None, None]
         return ChainNoise(
@@ -107,20 +101,11 @@ class Pieces:
 
     def tolerance(self, noise):
         """Errors that integrations may have, (W,), m."""
-        seen = np.isfinite(noise.variance)
-        size = np.sqrt(np.where(seen, noise.variance, np.inf).min(axis=(0, 2, 3)))[self.chain]
+        size = noise.least[self.chain]
         return 1e-2 * np.where(np.isfinite(size), size, size[np.isfinite(size)].min())
 
     def states(self, chains, times, nodes):
-        """Positions and velocities of all bodies, (n, W, N, d) each.
-
-        Parameters
-        ----------
-        chains : Chains
-            The pieces.
-        times : ndarray, shape (n, W), s
-        nodes : ndarray, shape (2, R, d, n, W)
-        """
+        """Places and velocities of all bodies of the pieces at times (n, W), (n, W, N, d) each."""
         own = np.moveaxis(nodes, (3, 4), (1, 2))  # (2, n, W, R, d)
         n_groups = nodes.shape[-1] // self.count
         apart = own.reshape(2, len(times), n_groups, self.count, *own.shape[3:])
@@ -163,26 +148,14 @@ class Pieces:
 
 def _moving(chains):
     """Bodies that forces move, (scene, name)."""
-    owners = zip(chains.scenes, chains.bodies, strict=True)
-    return {(scene, name) for scene, bodies in owners for name in bodies}
+    return {(scene, name) for scene, name, *_ in chains.members()}
 
 
-def _are_led(chains):
-    """Whether bodies that forces move stand beside others."""
-    moving = _moving(chains)
-    beside = zip(chains.scenes, chains.fixed, strict=True)
-    return any((scene, name) in moving for scene, fixed in beside for name in fixed)
-
-
-def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
-    """Cut chains into pieces.
+def cut_pieces(chains, batch, n_held=0, per_row=1, hits=()):
+    """Cut chains of the scenes of a batch into pieces.
 
     Parameters
     ----------
-    chains : Chains
-    noise : ChainNoise
-    batch : Batch
-        Of the scenes that the chains are of.
     n_held : int
         Coordinates that constraints take from a chain: what is slow on it shows in longer pieces.
     per_row : int
@@ -196,7 +169,8 @@ def cut_pieces(chains, noise, batch, n_held=0, per_row=1, hits=()):
     rows = max(int(MOST_COORDINATES / max(n_own - n_held / 2, 1)), LEAST_ROWS)
     # Bodies whose tracks are cut short lead others as they were seen, or are nowhere from there on.
     lengths = chains.lengths.reshape(n_groups, n_scenes)
-    lengths = lengths.max(axis=0) if _are_led(chains) else lengths.min(axis=0)
+    is_led = are_led(chains, _moving(chains))
+    lengths = lengths.max(axis=0) if is_led else lengths.min(axis=0)
     windows = cut_windows(lengths, rows)
     if hits:
         windows = _between_hits(windows, {(chain % n_scenes, row) for chain, row in hits})
@@ -242,14 +216,11 @@ def _bodies(bodies, scene, order, n_own):
     def taken(values):
         return np.concatenate([values[scene][:, rows] for rows in order])
 
-    shapes = bodies.shapes
     return replace(
         bodies,
         names=tuple(tuple(bodies.names[s][k] for k in rows) for rows in order for s in scene),
         receivers=np.arange(n_own),
         scenes=tuple(bodies.scenes[s] for _ in order for s in scene),
         properties={name: taken(values) for name, values in bodies.properties.items()},
-        shapes=Shapes(
-            *(taken(getattr(shapes, name)) for name in ("code", "radius", "width", "height"))
-        ),
+        shapes=bodies.shapes.map(taken),
     )

@@ -14,7 +14,7 @@ from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.engine.lowering import ORIGIN
 from bsp_gp.physics.force import Term
-from bsp_gp.units import Unit
+from bsp_gp.units import KILOGRAM, SECOND
 
 PROBE = "probe "
 """Names of the strengths of probes begin so: no constant of a law has a blank."""
@@ -25,20 +25,14 @@ WAVES = (0, 1, 2)
 
 
 def probe_terms(groups, is_moving, is_held=False):
-    """As many probes as the shortest tracks can bear, the slowest first.
+    """As many probes along axes (d,) that move as the shortest tracks can bear, the slowest first.
+
+    They are forces per unit mass, each with one constant of its own.
 
     Parameters
     ----------
-    groups : sequence of Chains
-    is_moving : ndarray of bool, shape (d,)
-        Axes along which something moves.
     is_held : bool
         Whether constraints hold bodies: then forces along and across a radius are too much alike.
-
-    Returns
-    -------
-    list of Term
-        Forces per unit mass, each with one constant of its own.
     """
     begin = min(float(np.nanmin(c.times)) for c in groups)
     span = max(float(np.nanmax(c.times)) for c in groups) - begin
@@ -70,11 +64,10 @@ def _shapes(is_moving, is_held):
 
 
 def _term(name, shape, wave, begin, span):
-    strength = Call("mul", Constant(name), Input("m_i", Type("scalar", Unit.of(kg=1))))
+    strength = Call("mul", Constant(name), Input("m_i", Type("scalar", KILOGRAM)))
     if wave:
-        second = Unit.of(s=1)
-        late = Call("sub", Input("t", STATE_INPUTS["t"]), Number(begin, second))
-        angle = Call("mul", Number(np.pi * wave / span, second**-1), late)
+        late = Call("sub", Input("t", STATE_INPUTS["t"]), Number(begin, SECOND))
+        angle = Call("mul", Number(np.pi * wave / span, SECOND**-1), late)
         strength = Call("mul", strength, Call("cos", angle))
     return Term(Call("mul", strength, shape), "field")
 

@@ -40,17 +40,7 @@ class Linearised:
         return float(self.residual @ self.residual) + self.rest
 
     def own(self, reins):
-        """What shortened steps of the blocks do: a part s of them takes off 2 s a - s^2 b.
-
-        Parameters
-        ----------
-        reins : ndarray, shape (B,)
-            Lengths, in those of whole Gauss-Newton steps.
-
-        Returns
-        -------
-        a, b : ndarray, shape (B,)
-        """
+        """What shortened steps of blocks do: a part s takes off 2 s a - s^2 b; a and b, (B,)."""
         return reins * self.rests, np.square(reins) * self.rests
 
     @property
@@ -117,7 +107,6 @@ class Minimum:
 
     Attributes
     ----------
-    point : object
     values : ndarray, shape (k,)
     linearised : Linearised or None
         None where the start is not finite.

@@ -11,21 +11,7 @@ PASSES = 30
 
 
 def regressed(flows, nodes, noises, constants, free):
-    """Values of the constants that enter linearly, the others as they are.
-
-    Parameters
-    ----------
-    nodes : sequence of ndarray, shape (2, R, d, T, S)
-        Read off the data.
-    noises : sequence of ChainNoise
-    constants : ndarray, shape (k,)
-    free : sequence of int
-        Which are found.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-    """
+    """Values (k,) of the constants `free`, which enter linearly, the others as they are."""
     constants = np.array(constants, dtype=float)
     constants[free] = 0.0
     targets, columns, errors = [], [], []
@@ -71,7 +57,7 @@ def _rows(flow, nodes, noise, constants, free):
     span = h0 + h1
     error = np.hypot(error, np.abs(target) * (span / np.median(span))[:, None, None] ** 2 * 0.05)
     flow.motion.set_constants(constants)
-    points = flow.points(nodes[..., row + 1, chain], t[row + 1, chain], chain)
+    points = flow.at(nodes, row + 1, chain)
     fixed = np.moveaxis(flow.motion.acceleration(points), -1, 0)
     ones = constants.copy()
     ones[free] = 1.0  # linear: the columns are those of any value

@@ -17,22 +17,23 @@ from functools import cached_property
 
 import numpy as np
 
+from bsp_gp.fitting.channels import split
 from bsp_gp.fitting.free_force import NOTHING, STRENGTHS, FreeForce, in_units
 from bsp_gp.fitting.links import less_exact, link, orthonormal
 from bsp_gp.fitting.parts.inclined import stretched
 from bsp_gp.fitting.pieces import cut_pieces
 from bsp_gp.fitting.shooting import known_states
-from bsp_gp.fitting.tracks import ChainNoise
+from bsp_gp.fitting.tracks import chain_noises
 from bsp_gp.fitting.unseen import as_driven
 from bsp_gp.fitting.weighing import as_normal, bears_outliers, to_begin_with
-from bsp_gp.language.formula import evaluate
-from bsp_gp.physics.bodies import law_inputs, stack, subset, under
+from bsp_gp.physics.bodies import stack, subset, under
+from bsp_gp.physics.engine.chains import spread
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
 from bsp_gp.physics.engine.seen import sight
 from bsp_gp.physics.engine.walls import walls_of
-from bsp_gp.physics.evaluation import Instants, Settling
+from bsp_gp.physics.evaluation import Instants
 from bsp_gp.physics.regression import Regression, RegressionBatch, checked
 from bsp_gp.threads import one_thread
 
@@ -106,13 +107,7 @@ class ResponseBatch(RegressionBatch):
         )  # fmt: skip
 
     def in_plane(self, matrix):
-        """The same of forces in a plane of which this is a picture.
-
-        Parameters
-        ----------
-        matrix : ndarray, shape (d, d)
-            What makes places in the plane of those in the picture.
-        """
+        """The same of forces in a plane to whose places a matrix (d, d) takes those seen."""
         return replace(
             self, positions=self.positions @ matrix.T, velocities=self.velocities @ matrix.T,
             whitener=self.whitener @ np.linalg.inv(matrix),
@@ -129,7 +124,6 @@ class ResponseBatch(RegressionBatch):
         return self.moments[..., None, None]
 
     def whitened_residual(self, predicted):
-        """Moments less those of predicted accelerations."""
         return self.whitened_target() - self.whiten(predicted)
 
 
@@ -141,7 +135,6 @@ class ResponseRegression(Regression):
         return {}
 
     def in_plane(self, matrix):
-        """Batch by batch, see `ResponseBatch.in_plane`."""
         return replace(self, batches=tuple(batch.in_plane(matrix) for batch in self.batches))
 
     def scaled(self, scale):
@@ -185,16 +178,7 @@ class ResponseRegression(Regression):
     def columns_at(self, instants, constants):
         """Moments of terms for P values of the constants inside them, shape (n, P, c).
 
-        Parameters
-        ----------
-        instants : list of Instants
-            Of the terms, as `instants` makes them.
-        constants : dict of str to ndarray, shape (P,)
-
-        Returns
-        -------
-        ndarray
-            nan in a column whose term has no finite value at some instant that counts.
+        A column whose term has no finite value at some instant that counts is nan.
         """
         parts, lost = [], False
         for batch, own in zip(self.batches, instants, strict=True):
@@ -216,20 +200,11 @@ class ResponseRegression(Regression):
                 self._known[term] = super().column(term, False, cache)
                 self._known[term][0].flags.writeable = False
             return self._known[term]
-        names = self.receiver_names()
-        parts = [[] for _ in names]
-        for batch in self.batches:
-            lookup = law_inputs(
-                term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
-            )
-            value = Settling(term, batch.bodies, True)(
-                evaluate(term.acceleration_formula, lookup), batch.target.shape
-            )
-            value = checked(value, batch)
-            for part, name in zip(parts, names, strict=True):
-                mine = np.array([[n == name for n in row] for row in batch.bodies.receiver_names])
-                part.append(batch.whiten(value * mine[..., None]))
-        return np.stack([self._flat(part) for part in parts], axis=1), names
+        columns = [
+            self._flat(b.whiten(value) for b, value in zip(self.batches, own, strict=True))
+            for own in self._by_receiver(list(self._accelerations(term, True)))
+        ]
+        return np.stack(columns, axis=1), self.receiver_names()
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,8 +263,6 @@ def respond(fit, dataset, is_quick=False):
 
     Parameters
     ----------
-    dataset : Dataset
-        That it was fitted to.
     is_quick : bool
         Whether forces count that change from row to row: of all others few moments tell as much.
     """
@@ -297,23 +270,20 @@ def respond(fit, dataset, is_quick=False):
     with one_thread(), np.errstate(all="ignore"):
         batches, columns, levels, smoothed = [], [], [], []
         free, used, total = np.zeros(2), 0, 0
-        first, plain = 0, as_normal(fit)
+        plain = as_normal(fit)
         if plain is fit:
             groups, dataset = _without_outliers(fit, dataset)
         else:
             fit, groups = plain, _weighed(fit, plain)
-        for chains, nodes, batch in zip(
-            groups, fit.nodes, stack(dataset.scenes, dataset.up, dataset.velocity), strict=True
-        ):
+        stacked = stack(dataset.scenes, dataset.up, dataset.velocity)
+        noises = chain_noises(groups, *fit.noise.parts(fit.channels), fit.noise)
+        for chains, nodes, noise, batch in zip(groups, fit.nodes, noises, stacked, strict=True):
             batch = replace(batch, bodies=under(fit.law, batch.bodies))
-            count = int(np.prod(chains.observed.shape[1:]))
-            noise = _noise(fit, chains, slice(first, first + count))
-            first += count
             pairs = [pair for part in constraints_of(fit.law) for pair in part.pairs]
             n_held = sum(pair[0] in chains.bodies[0] for pair in pairs)
             per_row = 1 if fit.paper_steps else _instants_per_row(fit, chains, nodes)
             hits = _hits(fit, chains, nodes)
-            pieces = cut_pieces(chains, noise, batch, n_held, per_row, hits)
+            pieces = cut_pieces(chains, batch, n_held, per_row, hits)
             lost = NOTHING if is_quick else LOST
             group = _Group(_flying(fit), chains, nodes, noise, pieces, per_row, lost)
             own = group.batches()
@@ -359,25 +329,9 @@ def _without_outliers(fit, dataset):
 
 def _weighed(fit, plain):
     """Groups of chains of a fit with rows where its like without tails has them."""
-    change, first, groups = plain.residual - fit.residual, 0, []
-    for chains in fit.groups:
-        shape = chains.observed.shape
-        count = int(np.prod(shape[1:]))
-        own = change[: shape[0], first : first + count].reshape(shape)
-        groups.append(replace(chains, observed=chains.observed + np.nan_to_num(own)))
-        first += count
-    return groups
-
-
-def _noise(fit, chains, part):
-    """The noise of the rows of a group of chains."""
-    white, amplitude = fit.noise.parts(fit.channels)
-    shape = chains.observed.shape
-    return ChainNoise(
-        chains.times, white[: shape[0], part].reshape(shape),
-        np.nan_to_num(amplitude[: shape[0], part]).reshape(shape), fit.noise.correlation_time,
-        fit.noise.adding,
-    )  # fmt: skip
+    change = np.nan_to_num(plain.residual - fit.residual)
+    pairs = zip(fit.groups, split(change, fit.groups), strict=True)
+    return [replace(chains, observed=chains.observed + own) for chains, own in pairs]
 
 
 def _hits(fit, chains, nodes):
@@ -405,8 +359,7 @@ def _instants_per_row(fit, chains, nodes):
     flow = Flow(motion, np.ones(chains.n_chains))
     count = flow.n_intervals
     some = np.linspace(0, count, min(count, MOST_LOOKED_AT), endpoint=False).astype(int)
-    row, chain = flow.row[some], flow.chain[some]
-    points = flow.points(nodes[..., row, chain], flow.start[some], chain)
+    points = flow.at(nodes, flow.row[some], flow.chain[some])
     by_state, _ = flow.motion.slopes(points)
     half = flow.n_state // 2
     stiffness = np.abs(by_state[:, :, :half]).sum(axis=-1).max(axis=-1)
@@ -473,12 +426,9 @@ class _Group:
     # --- the linearised motion -------------------------------------------------------------------
 
     def linearised(self):
-        """Changes of places at rows, by forces, states, constants, and what nodes lack to join.
+        """Changes of states at instants, by forces, states, constants, and what nodes lack to join.
 
-        Returns
-        -------
-        changes : ndarray, shape (L, W, n, F + n + k + 1)
-            Of the whole state at every instant, F = L R d accelerations first.
+        Shape (L, W, n, F + n + k + 1), F = L R d accelerations first.
         """
         flow = self._flow(self.fine)
         mesh = flow.quick_mesh(self.nodes)
@@ -549,7 +499,7 @@ class _Group:
             return None
         out = np.tile(np.eye(half), (*self.fine.times.shape, 1, 1))
         row, chain = np.nonzero(np.isfinite(self.fine.times))
-        points = flow.points(self.nodes[..., row, chain], self.fine.times[row, chain], chain)
+        points = flow.at(self.nodes, row, chain)
         own = np.arange(self.n_own) * self.n_dims
         out[row[:, None, None], chain[:, None, None], own[:, None], own] = np.linalg.inv(
             linkages.matrix(points)
@@ -790,10 +740,10 @@ class _Group:
         leads = self.pieces.leads
         if not leads.any():
             return None
-        if self.noise.amplitude.any():  # across pieces a memory is not followed
-            lasts = np.nanmax(self.fine.times, axis=0) - np.nanmin(self.fine.times, axis=0)
-            if lasts[leads].min() < MEMORIES * self.noise.correlation_time:
-                return None
+        # Across pieces a memory is not followed.
+        lasts = spread(self.fine.times)[leads].min()
+        if self.noise.amplitude.any() and lasts < MEMORIES * self.noise.correlation_time:
+            return None
         links = link(self.pieces, changes, white, self.nodes, 2 * self.n_own * self.n_dims)
         if links is None or not links.is_exact(error):
             return None
@@ -842,16 +792,10 @@ class _Group:
         )  # fmt: skip
 
     def columns(self, batches):
-        """Moments of the changes by the constants, (n, k), in the way that those of laws are.
-
-        Parameters
-        ----------
-        batches : sequence of ResponseBatch
-            The last ones are those of this group.
-        """
+        """Moments of the changes by the constants, (n, k), in the way that those of laws are."""
         row, chain = np.nonzero(np.isfinite(self.fine.times))
         flow = self._flow(self.fine)
-        points = flow.points(self.nodes[..., row, chain], self.fine.times[row, chain], chain)
+        points = flow.at(self.nodes, row, chain)
         by_constant = np.nan_to_num(flow.motion.slopes(points)[1])
         if flow.motion.linkages:  # as forces
             shaped = by_constant.reshape(len(row), self.n_own, self.n_dims, -1)

@@ -47,17 +47,7 @@ def without_rests(dataset, law):
     """The data set without rows at which bodies stand still in spite of a law, with a note.
 
     Scenes of one moving body alone; nothing is done where rows are counted (`Evaluation`), where
-    velocities are data, or in the sky.
-
-    Parameters
-    ----------
-    law : ForceLaw
-        As it is declared; its constants are fitted to the rest.
-
-    Returns
-    -------
-    Dataset
-        The same one where there is no such row.
+    velocities are data, or in the sky. It is the same one where there is no such row.
     """
     if not may_lose_ends(dataset):
         return dataset
@@ -80,12 +70,8 @@ def without_still_ends(dataset):
     """The data set without rows at which bodies stand still before they move, or after.
 
     Whatever law is declared, and with a note: of bodies that bounce, or that nothing is known of,
-    which begin in somebody's hand and end on the floor.
-
-    Returns
-    -------
-    Dataset
-        The same one where there is no such row.
+    which begin in somebody's hand and end on the floor. It is the same one where there is no such
+    row.
     """
     if not may_lose_ends(dataset):
         return dataset

@@ -6,6 +6,8 @@ before (Newton's method on the joints). Where that fails - motion that runs away
 shorter stretches are taken, down to one row after the other.
 """
 
+from copy import copy
+
 import numpy as np
 
 from bsp_gp.fitting.starts import first_nodes
@@ -22,21 +24,14 @@ SLOWEST = 0.3
 def roll(law, chains, first, tolerance, paper_steps=False):
     """Roll a law out over all rows of some chains.
 
+    States (2, R, d, T, S) at every row are inf from where a motion leaves the range of numbers.
+
     Parameters
     ----------
-    law : ForceLaw
-        Its constants have values.
     first : ndarray, shape (2, R, d, S)
         States at the first row.
     tolerance : ndarray, shape (S,), metres
         Error that a whole track may have.
-    paper_steps : bool
-        Take the paper's steps from row to row.
-
-    Returns
-    -------
-    ndarray, shape (2, R, d, T, S)
-        States at every row; inf from where a motion leaves the range of numbers.
     """
     flow = flow_of(law, chains, tolerance, paper_steps)
     nodes = first_nodes(chains)
@@ -73,8 +68,7 @@ def flow_of(law, chains, tolerance, paper_steps=False):
 
 def _leg(flow, nodes, row, stop):
     """The intervals of some rows, of chains that have not run away."""
-    leg = object.__new__(Flow)
-    leg.__dict__.update(flow.__dict__)
+    leg = copy(flow)
     alive = np.isfinite(nodes[..., row, :]).all(axis=(0, 1, 2))
     mine = (flow.row >= row) & (flow.row < stop) & alive[flow.chain]
     leg.row, leg.chain = flow.row[mine], flow.chain[mine]

@@ -10,10 +10,12 @@ in a step or two, however long the track.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from bsp_gp.fitting.unseen import tied
+from bsp_gp.physics.engine.chains import spread
 from bsp_gp.physics.engine.seen import sight
 
 STATE_PRIOR = 1e4
@@ -38,13 +40,7 @@ GROUPED = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Pieces of chains that have initial states of their own.
-
-    Attributes
-    ----------
-    chain, first, stop : ndarray of int, shape (W,)
-        Rows ``first:stop`` of a chain.
-    """
+    """Rows ``first:stop`` of each `chain` (W,) that have initial states of their own."""
 
     chain: np.ndarray
     first: np.ndarray
@@ -62,8 +58,6 @@ def cut_windows(lengths, rows=None, times=None):
 
     Parameters
     ----------
-    lengths : ndarray of int, shape (S,)
-    rows : int, optional
     times : ndarray, shape (T, S), s, optional
         Where they are given, and a chain has gaps, windows end where they would last longer than
         so many rows do: what happens between is not seen. They may have fewer than three rows then.
@@ -166,25 +160,13 @@ class Condensed:
 
 
 def known_states(chains, noise):
-    """Known first states of chains and their standard deviations, (n, S) each; nan = unknown.
-
-    Parameters
-    ----------
-    noise : ChainNoise
-        Of their rows.
-
-    Returns
-    -------
-    (ndarray, ndarray) or None
-    """
+    """Known first states of chains and deviations, (n, S), nan = unknown; None if all are."""
     if chains.begun is None or not np.isfinite(chains.begun).any():
         return None
     n_chains, half = chains.n_chains, chains.n_moving * chains.n_dims
-    variance = np.where(np.isfinite(noise.variance), noise.variance, np.inf)
-    level = np.sqrt(variance.min(axis=(0, 2, 3)))
     size = np.abs(np.nan_to_num(chains.observed)).max(axis=(0, 2, 3), initial=0.0)
-    least = np.maximum(EXACT * level, ROUNDINGS * np.finfo(float).eps * size)
-    span = _spread(chains.times)
+    least = np.maximum(EXACT * noise.least, ROUNDINGS * np.finfo(float).eps * size)
+    span = spread(chains.times)
     least = np.repeat(np.stack([least, least / np.where(span > 0, span, 1.0)]), half, axis=0)
     values = chains.begun.reshape(2 * half, n_chains)
     errors = np.maximum(chains.begun_errors.reshape(2 * half, n_chains), least)
@@ -192,12 +174,7 @@ def known_states(chains, noise):
 
 
 class Shooting:
-    """The tracks of some chains as a least-squares problem in the constants.
-
-    Parameters
-    ----------
-    noise : ChainNoise
-    """
+    """The tracks of some chains as a least-squares problem in the constants."""
 
     def __init__(self, flow, noise, windows):
         self.flow = flow
@@ -216,24 +193,24 @@ class Shooting:
     def _window_extents(self):
         """How far bodies go within each window, (W,), m; at least a part of the whole track's."""
         windows, observed = self.windows, self.chains.observed
-        whole = _spread(observed).max(axis=(1, 2))
+        whole = spread(observed).max(axis=(1, 2))
         out = np.empty(len(windows.chain))
         seen = np.isfinite(observed)
         low, high = np.where(seen, observed, np.inf), np.where(seen, observed, -np.inf)
         for k, (s, a, b) in enumerate(zip(windows.chain, windows.first, windows.stop, strict=True)):
-            spread = high[a:b, s].max(axis=0) - low[a:b, s].min(axis=0)
-            out[k] = max(float(np.max(spread, initial=0.0)), 1e-3 * whole[s])
+            reach = high[a:b, s].max(axis=0) - low[a:b, s].min(axis=0)
+            out[k] = max(float(np.max(reach, initial=0.0)), 1e-3 * whole[s])
         return np.where(out > 0, out, np.inf)
 
     def _prior(self):
         """Inverse prior deviations of the state, (n, S)."""
         chains = self.chains
-        spread = _spread(chains.observed).max(axis=(1, 2))
-        spread = np.where(spread > 0, spread, 1.0)
-        span = _spread(chains.times)
+        extent = spread(chains.observed).max(axis=(1, 2))
+        extent = np.where(extent > 0, extent, 1.0)
+        span = spread(chains.times)
         half = self.flow.n_state // 2
         return np.repeat(
-            np.stack([1 / (STATE_PRIOR * spread), span / (STATE_PRIOR * spread)]), half, axis=0
+            np.stack([1 / (STATE_PRIOR * extent), span / (STATE_PRIOR * extent)]), half, axis=0
         )
 
     # --- linearising -----------------------------------------------------------------------------
@@ -302,20 +279,16 @@ class Shooting:
             floor = np.stack([places, places / np.abs(flow.length)])
         return np.where(np.abs(gaps) <= floor[:, None, None], 0.0, gaps)
 
-    @property
+    @cached_property
     def groups(self):
         """Windows of like length together, so that little is padded: lists of window numbers."""
-        if not hasattr(self, "_groups"):
-            length = self.windows.length
-            sizes = np.ceil(np.log2(np.maximum(length, 1)) * 2).astype(int)
-            self._groups = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
-        return self._groups
+        sizes = np.ceil(np.log2(np.maximum(self.windows.length, 1)) * 2).astype(int)
+        return [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
 
     def _begun(self, group, values, nodes):
         """How first nodes hang on themselves or, of bodies without rows, on constants."""
         n, k = self.flow.n_state, self.flow.n_constants
-        begun = np.zeros((len(group), n, n + k + 1))
-        begun[:, np.arange(n), np.arange(n)] = 1.0
+        begun = np.tile(np.eye(n, n + k + 1), (len(group), 1, 1))
         first, chain = self.windows.first[group], self.windows.chain[group]
         kept = self.flow.tangent(nodes, first, chain)
         if kept is not None:
@@ -345,8 +318,7 @@ class Shooting:
         block_first = (first[:, None] + offset).ravel()
         # A block ends with the first node of the next one.
         block_length = np.clip(length[:, None] - offset, 0, size + 1).ravel()
-        alone = np.zeros((len(block_first), *begun.shape[1:]))
-        alone[:, np.arange(begun.shape[1]), np.arange(begun.shape[1])] = 1.0
+        alone = np.tile(np.eye(*begun.shape[1:]), (len(block_first), 1, 1))
         local = self._chained(
             block_first, np.repeat(chain, n_blocks), block_length, transitions, gaps, alone
         )
@@ -442,7 +414,7 @@ class Shooting:
         rows = rows[rows < self.chains.lengths[chain]]
         times, at = self.chains.times[rows, chain], np.full(len(rows), chain)
         with np.errstate(all="ignore"):
-            pushes = flow.motion.acceleration(flow.points(nodes[..., rows, at], times, at))
+            pushes = flow.motion.acceleration(flow.at(nodes, rows, at))
             lasting = np.abs(np.median(pushes, axis=-1)).max()  # that of an oscillation is none
         lasts = times[-1] - times[0]
         reach = np.nan_to_num(0.5 * lasting * lasts**2, posinf=0.0)
@@ -460,16 +432,8 @@ class Shooting:
     def columns(self, condensed, n_most):
         """Changes of the predicted places by initial states and constants, whole tracks.
 
-        Parameters
-        ----------
-        condensed : list of Condensed
-        n_most : int
-            Local columns to give; those beyond the chain's own are zero.
-
-        Returns
-        -------
-        local : ndarray, shape (n_most, T, S, R, d)
-        shared : ndarray, shape (k, T, S, R, d)
+        Local ones are (n_most, T, S, R, d), shared ones (k, T, S, R, d). Local ones beyond the
+        chain's own are zero.
         """
         n, k = self.flow.n_state, self.flow.n_constants
         shape = self.chains.observed.shape
@@ -512,7 +476,6 @@ class Shooting:
 
     @property
     def n_blocks(self):
-        """Windows in all groups."""
         return sum(map(len, self.groups))
 
     def chains_of(self, chosen):
@@ -526,7 +489,6 @@ class Shooting:
         Parameters
         ----------
         nodes : ndarray, shape (2, R, d, T, S)
-        condensed : list of Condensed
         step : ndarray, shape (k,)
         share : float
             Part of the step that initial states and gaps make of their own.
@@ -557,14 +519,6 @@ class Shooting:
             chain = self.windows.chain[group][at[1]]
             nodes[..., rows[at], chain] += change[..., at[0], at[1]]
         return nodes
-
-
-def _spread(values):
-    """Largest less smallest along the first axis; 0 where there is none."""
-    seen = np.isfinite(values)
-    high = np.where(seen, values, -np.inf).max(axis=0)
-    low = np.where(seen, values, np.inf).min(axis=0)
-    return np.where(seen.any(axis=0), high - low, 0.0)
 
 
 def _dampings(s, image, shares):

@@ -15,10 +15,7 @@ from bsp_gp.physics.force import COPY
 def simulated(found, dataset, scenes, count, rng):
     """Copies of scenes: the best tracks of a law through them, and noise as it was estimated.
 
-    Returns
-    -------
-    list of list of Scene, one list per copy
-        Empty where the law cannot follow the scenes.
+    A list of scenes for every copy; none where the law cannot follow the scenes.
     """
     if not count or not scenes:
         return []

@@ -10,7 +10,7 @@ from bsp_gp.fitting.held_out import initial_states
 from bsp_gp.fitting.hypothesis import declared_law
 from bsp_gp.fitting.rolling import roll
 from bsp_gp.physics.bodies import stack
-from bsp_gp.physics.dynamics import INTEGRATORS, rollout
+from bsp_gp.physics.dynamics import rollout, step_of
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.linked import is_held
 from bsp_gp.physics.force import ForceLaw
@@ -32,7 +32,6 @@ def simulate_law(
 
     Parameters
     ----------
-    dataset : Dataset
     law : ForceLaw, str or sequence of str
     constants : mapping of str to float, optional
         Values of the constants that typed laws name, SI.
@@ -63,10 +62,7 @@ def simulate_law(
     if substeps is not None and not 1 <= substeps <= 1000:
         raise SettingsError(f"substeps must be between 1 and 1000, got {substeps!r}")
     integrator = integrator or ("euler" if _touches(law) else "rk4")
-    if integrator not in INTEGRATORS:
-        raise SettingsError(
-            f"integrator must be one of {', '.join(INTEGRATORS)}, got {integrator!r}"
-        )
+    step_of(integrator)
     usable = with_usable_masses(dataset)
     check_properties(stack(usable.scenes, usable.up), law)
     paths = _paths(usable, law, integrator, substeps)

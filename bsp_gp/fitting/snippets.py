@@ -17,18 +17,8 @@ EFFORT = 2000
 def snippets_under(law, told, snippets):
     """The fit of the states alone of snippets, under a law and the noise of tracks.
 
-    Parameters
-    ----------
-    law : ForceLaw
-        As it is declared.
-    told : Dataset
-        Rows to which its constants are fitted, if it has some.
-    snippets : sequence of Scene
-
-    Returns
-    -------
-    Fit or None
-        None where the law cannot be fitted, or the snippets not under it.
+    None where the law cannot be fitted, or the snippets not under it. Constants of the law, as it
+    is declared, are fitted to the rows `told`.
     """
     noise = NoiseModel.of(told)
     hypothesis = Hypothesis.from_laws(told, law)

@@ -22,17 +22,13 @@ DECADES = (1.0, 0.1, 10.0, 0.01, 100.0)
 
 
 def first_nodes(chains, is_coarse=False):
-    """A state for every row: the place where it was seen, and the slope of a curve through places.
+    """A state for every row, (2, R, d, T, S): where it was seen, and the slope of a curve there.
 
     Parameters
     ----------
     is_coarse : bool
         Whether neighbouring rows show the acceleration above the noise: then the curve is a spline,
         else differences over two rows.
-
-    Returns
-    -------
-    ndarray, shape (2, R, d, T, S)
     """
     n_rows, n_chains, n_own, n_dims = chains.observed.shape
     nodes = np.zeros((2, n_own, n_dims, n_rows, n_chains))
@@ -142,14 +138,7 @@ class Scales:
 
 
 def scales_of(groups, noises):
-    """Sizes of the motion, from curvatures of parabolas through pieces of the tracks.
-
-    Parameters
-    ----------
-    groups : sequence of Chains
-    noises : sequence of ChainNoise
-        Rows' variances.
-    """
+    """Sizes of the motion, from curvatures of parabolas through pieces of the tracks."""
     span, step, extent, sparse = 0.0, np.inf, 0.0, 1.0
     for chains in groups:
         for s in range(chains.n_chains):
@@ -308,17 +297,12 @@ def _is_linear(node, name):
 def candidates(law, parameters, scales, rates, most):
     """Values of the constants to begin with, the likeliest first.
 
+    Of those that do not enter linearly; the others are found from these.
+
     Parameters
     ----------
-    parameters : sequence of (name, entity)
     rates : sequence of float
         Angular frequencies at which the tracks show something, rad/s.
-    most : int
-
-    Returns
-    -------
-    list of dict of str to float
-        Of the constants that do not enter linearly; the others are found from these.
     """
     roles = roles_of(law)
     names = dict.fromkeys(name for name, _ in parameters)

@@ -12,13 +12,7 @@ _LEAST = 1e-300
 
 
 def log_likelihood(model, channels, residual):
-    """Plain log-likelihood of a residual, by which different laws are compared.
-
-    Parameters
-    ----------
-    model : NoiseModel
-    residual : ndarray, shape (T, C), metres
-    """
+    """Plain log-likelihood of a residual (T, C), metres, by which different laws are compared."""
     if math.isinf(model.degrees):
         whitener = model.whitener(channels)
         square = float(np.square(whitener.whiten(residual)).sum())
@@ -31,13 +25,7 @@ def log_likelihood(model, channels, residual):
 
 
 def weights_of(model, channels, residual):
-    """Weights that the tails of a noise give to rows, shape (T, C); 1 where it has none.
-
-    Parameters
-    ----------
-    model : NoiseModel
-    residual : ndarray, shape (T, C), metres
-    """
+    """Weights that the tails of a noise give rows of a residual (T, C), m; 1 where it has none."""
     if math.isinf(model.degrees):
         return np.ones(channels.seen.shape)
     return _weighed(model, channels, residual)[0]
@@ -72,19 +60,7 @@ def _weighed(model, channels, residual):
 
 
 def scaled_without_tails(model, channels, whitener, weights, innovations):
-    """Innovations in units of the spread that they had if their own rows had no weight.
-
-    Parameters
-    ----------
-    whitener : Whitener
-        Of the model and these weights.
-    weights : ndarray, shape (T, C), or None
-    innovations : ndarray, shape (T, C)
-
-    Returns
-    -------
-    scaled, spread : ndarray, shape (T, C)
-    """
+    """Innovations (T, C) in the spread they had without weights of rows, and that spread."""
     spread = whitener.spread
     if weights is not None:
         white, _ = model.parts(channels)
@@ -121,7 +97,6 @@ def fit_degrees(z, start):
 
 
 def _log_student(z, degrees):
-    """Logarithm of the density of Student's t."""
     half = 0.5 * (degrees + 1.0)
     norm = gammaln(half) - gammaln(0.5 * degrees) - 0.5 * math.log(degrees * math.pi)
     return norm - half * np.log1p(np.square(z) / degrees)

@@ -167,15 +167,7 @@ def score_of(rows, residual, size, noise_dof=np.inf):
 
 
 def p_of_gain(gain, rank, noise_dof=np.inf):
-    """Chance that noise alone gains so much chi-squared in so many directions.
-
-    Parameters
-    ----------
-    gain : float or ndarray
-    rank : int
-    noise_dof : float
-        Degrees of freedom behind the level of the noise.
-    """
+    """Chance that noise alone gains so much chi-squared in so many directions."""
     if not rank:
         return np.ones_like(gain, dtype=float)[()]
     if np.isfinite(noise_dof):
@@ -184,12 +176,7 @@ def p_of_gain(gain, rank, noise_dof=np.inf):
 
 
 def as_pair(gain, rank):
-    """The gain in two directions that is as unlikely as this one in `rank` of them.
-
-    Parameters
-    ----------
-    gain, rank : float or ndarray
-    """
+    """The gain in two directions that is as unlikely as this one in `rank` of them."""
     gain, half = np.asarray(gain, dtype=float), np.asarray(rank) / 2
     with np.errstate(divide="ignore", invalid="ignore"):
         near = np.log(chdtrc(rank, gain))

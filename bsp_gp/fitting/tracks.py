@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.fitting.channels import split
 from bsp_gp.fitting.problem import Linearised
 from bsp_gp.fitting.whitening import whitener_of
 from bsp_gp.physics.engine.flow import Flow
@@ -63,8 +64,23 @@ class ChainNoise:
         return self._whiteners[key].whiten(flat).reshape(errors.shape)
 
     @property
+    def least(self):
+        """Least standard deviation of a row of each chain, (S,); inf where none was seen."""
+        variance = np.where(np.isfinite(self.variance), self.variance, np.inf)
+        return np.sqrt(variance.min(axis=(0, 2, 3)))
+
+    @property
     def n_seen(self):
         return int(np.isfinite(self.variance).sum())
+
+
+def chain_noises(groups, white, amplitude, model):
+    """The noise of the rows of groups of chains, from parts (T, C) of a model's, tuple."""
+    parts = zip(groups, split(white, groups), split(np.nan_to_num(amplitude), groups), strict=True)
+    return tuple(
+        ChainNoise(chains.times, variance, size, model.correlation_time, model.adding)
+        for chains, variance, size in parts
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +136,6 @@ class TrackProblem:
         self.ridge = ridge
 
     def values(self, point):
-        """Shared unknowns of a point."""
         return point.values
 
     def linearise(self, point):

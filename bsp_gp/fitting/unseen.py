@@ -80,13 +80,7 @@ def tied(motion):
 
 
 def carried(flow, nodes, constants):
-    """Nodes (2, R, d, T, S) with bodies that no row shows on the tracks that the others make.
-
-    Parameters
-    ----------
-    nodes : ndarray
-    constants : ndarray, shape (k,)
-    """
+    """Nodes (2, R, d, T, S) with bodies that no row shows on the tracks that the others make."""
     ties = tied(flow.motion)
     if not ties:
         return nodes
@@ -105,14 +99,7 @@ def carried(flow, nodes, constants):
 
 
 def shown(found, scenes):
-    """Scenes with the bodies that no row shows, on the tracks of a fit.
-
-    Parameters
-    ----------
-    found : Fit
-    scenes : sequence of Scene
-        Of the clock of the scene that was fitted.
-    """
+    """Scenes of a fitted scene's clock with the bodies that no row shows, on a fit's tracks."""
     for body in found.law.unseen:
         scenes = tuple(
             scene if body.entity in scene.names else _with_track(found, body, scene)

@@ -43,13 +43,8 @@ def as_normal(fit):
     Under Student's t the score of a row is its weight times its residual, of which the variance is
     the expected information (`student.expected_weights`): their ratio is what a row of normal noise
     of that information had left. So what asks a residual for causes needs to know of no tails, and
-    no outlier passes for one.
-
-    Returns
-    -------
-    Fit
-        The same one where it has no tails, and where rows in turn are off as noise never is: of
-        what a law lacks so much of, tails would leave nothing.
+    no outlier passes for one. It is the same one where it has no tails, and where rows in turn are
+    off as noise never is: of what a law lacks so much of, tails would leave nothing.
     """
     model, channels = fit.noise, fit.channels
     if math.isinf(model.degrees) or _is_led_away(model, channels, fit.residual):
@@ -80,20 +75,9 @@ def _is_led_away(model, channels, residual):
 
 
 def weighed(run, climb, minimum, model):
-    """The minimum under a noise, every row with the weight that the tails give it there.
+    """The minimum, and its climb, under a noise, every row with the weight that the tails give it.
 
-    Parameters
-    ----------
-    run : _Run
-    climb : Climb
-        With steps that fit the minimum.
-    model : NoiseModel
-
-    Returns
-    -------
-    climb : Climb
-    minimum : Minimum
-        "unconverged" where the weights do not settle.
+    It is "unconverged" where the weights do not settle.
     """
     meshes, before = climb.problem.meshes, -math.inf
     for _ in range(ROUNDS):

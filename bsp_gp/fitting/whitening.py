@@ -98,13 +98,7 @@ class Whitener:
         return out
 
     def whiten(self, errors):
-        """Errors of unit covariance; 0 where not seen.
-
-        Parameters
-        ----------
-        errors : ndarray, shape (..., T, C)
-            Finite where seen.
-        """
+        """Errors (..., T, C), finite where seen, of unit covariance; 0 where not seen."""
         if self._foreseen is None:  # the quotient itself, not a product with a rounded inverse
             return np.where(self.seen, errors, 0.0) / self.spread
         return self._beside(errors, self._kept, -self._foreseen, self._per_spread)
@@ -145,7 +139,6 @@ class SummedWhitener(Whitener):
     times : array-like, shape (T, C) or (T, 1), s
     variance : array-like, shape (T, C), squared units of the errors
         Of what is added from the row before, if that lies one step back; nan or inf = not seen.
-    adding : Adding
     """
 
     def __init__(self, times, variance, adding):

@@ -7,19 +7,9 @@ _FACTORS = ("mul", "neg", "div")
 
 
 def bare_number(formula, unit):
-    """The lone number without a unit that multiplies terms of the wrong unit, or None.
+    """The lone number without a unit that multiplies terms of another unit than this, or None.
 
-    Parameters
-    ----------
-    formula : Formula
-        A law whose unit is known, and is not the one that it should have.
-    unit : Unit
-        That of terms that need one.
-
-    Returns
-    -------
-    Number or None
-        None also where there are several: who knows of which the unit was left out.
+    None also where there are several: who knows of which the unit was left out.
     """
     found = [n for term in summands(formula) if term.type.unit == unit for n in _numbers(term)]
     return found[0] if len(found) == 1 else None

@@ -19,15 +19,10 @@ DIGITS = 9
 
 
 def canonical_key(formula, n_dims=2):
-    """A key that equal laws share.
+    """A key that equal laws share, of the same length for all laws.
 
     The value of a constant that multiplies the whole law does not matter, nor do the names of
     others, which are told apart by the order in which they appear.
-
-    Returns
-    -------
-    str
-        Of the same length for all laws.
     """
     above, below = factors(formula)
     inner = [

@@ -22,8 +22,6 @@ class Expression:
 
     Attributes
     ----------
-    rule : int
-    children : tuple of Expression
     levels : int
         A rule without nonterminals is one level.
     size : int

@@ -201,13 +201,9 @@ def _evaluate(node, inputs, constants, cache):
 
 
 def evaluate_with_gradient(formula, inputs, constants, names):
-    """Value of a formula and its exact derivatives with respect to named constants.
+    """Value of a formula and its exact derivatives with respect to named constants, by name.
 
-    Returns
-    -------
-    value : ndarray
-    gradient : dict of str to ndarray or None
-        None where the formula does not depend on that constant.
+    A derivative is None where the formula does not depend on that constant.
     """
     with np.errstate(all="ignore"):
         value, tangents = _forward(formula, inputs, constants, tuple(names))

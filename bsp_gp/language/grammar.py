@@ -24,12 +24,11 @@ from bsp_gp.errors import GrammarError, UnitError
 from bsp_gp.language.formula import Call, Constant, Input, Number
 from bsp_gp.language.inputs import property_of
 from bsp_gp.language.operators import OPERATORS, SHAPES, Type
-from bsp_gp.units import Unit, parse_unit
+from bsp_gp.units import SPEED, parse_unit
 
 KINDS = ("pair", "field")
 PLACED = ("origin", "middle", "centre")
 """Points that rules ``[beyond]`` may name: zero, the middle of the data, one that is sought."""
-VELOCITY = Unit.of(m=1, s=-1)
 
 
 @dataclass(frozen=True)
@@ -48,8 +47,6 @@ class Rule:
     ----------
     index : int
         Its number in the grammar; derivation trees store these.
-    text : str
-        The body as written.
     body : nested tuple, Slot or Formula
         ``(operator, *arguments)`` with slots at the nonterminals.
     children : tuple of str
@@ -77,9 +74,6 @@ class Grammar:
     ----------
     start : mapping of str to str
         Kind of law ("pair", "field") -> start symbol.
-    types : mapping of str to Type
-        Of every nonterminal.
-    inputs : mapping of str to Type
     operators : mapping of str to str
         What the names in bodies mean (``div`` -> ``div_guarded``).
     enabled : tuple of bool, one per rule
@@ -250,7 +244,7 @@ class Grammar:
         is_changed = bool(taken)
         for column in [*sorted(set(columns) - known), *sorted(inputs)]:
             type_ = inputs.get(column) or columns[column]
-            is_velocity = type_ == Type("vector", VELOCITY)
+            is_velocity = type_ == Type("vector", SPEED)
             tables = ["each_property"] if type_.shape == "scalar" else ["each_vector"]
             tables += ["each_velocity"] if is_velocity else []
             tables += ["each_signed"] if column in signed else []

@@ -5,7 +5,7 @@ aliases below; positions, velocities, the contact point, lab axes and time have 
 """
 
 from bsp_gp.language.operators import Type
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.units import DIMENSIONLESS, METRE, SECOND, SPEED
 
 ALIASES = {
     "m": "mass", "mu": "friction", "q": "charge", "R": "radius", "k": "stiffness",
@@ -13,13 +13,12 @@ ALIASES = {
 }  # fmt: skip
 """Short name in laws -> column of entities.csv."""
 SHORT = {column: alias for alias, column in ALIASES.items()}
-_METRE, _SPEED = Unit.of(m=1), Unit.of(m=1, s=-1)
 STATE_INPUTS = {
-    "p_i": Type("point", _METRE), "p_j": Type("point", _METRE), "p_c": Type("point", _METRE),
-    "origin": Type("point", _METRE), "v_i": Type("vector", _SPEED), "v_j": Type("vector", _SPEED),
+    "p_i": Type("point", METRE), "p_j": Type("point", METRE), "p_c": Type("point", METRE),
+    "origin": Type("point", METRE), "v_i": Type("vector", SPEED), "v_j": Type("vector", SPEED),
     "s_i": Type("shape"), "s_j": Type("shape"), "e_x": Type("vector"), "e_y": Type("vector"),
     "e_z": Type("vector"), "up": Type("vector"), "down": Type("vector"),
-    "t": Type("scalar", Unit.of(s=1)),
+    "t": Type("scalar", SECOND),
 }  # fmt: skip
 """Inputs that are no properties; `up` and `down` need a declared axis."""
 DIRECTIONS = ("e_x", "e_y", "e_z", "up", "down")

@@ -13,7 +13,7 @@ import numpy as np
 from bsp_gp.errors import SettingsError, UnitError
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.operators import OPERATORS, Operator, Type
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.units import DIMENSIONLESS, METRE, Unit
 
 N_TRIED, LEAST_FINITE = 200, 0.9
 """Values at which an operator is tested, and the part of results that must be finite numbers."""
@@ -200,8 +200,7 @@ def _called(name, what, function, values):
 
 def _check_units(operator):
     """The rule of units gives a unit for pure numbers, and none that is not one."""
-    metre = Unit.of(m=1)
-    for units in (DIMENSIONLESS, metre):
+    for units in (DIMENSIONLESS, METRE):
         try:
             found = operator.infer(*(Type("scalar", units),) * operator.arity)
         except UnitError:  # it refuses them, which is a rule as well

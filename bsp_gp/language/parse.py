@@ -41,11 +41,10 @@ _IMPULSE = "impulse(t - 0.5 [s], 0.001 [s])"
 
 
 def parse_formula(text, types: Mapping, *, operators: Mapping | None = None, units=None):
-    """Read a typed law.
+    """Read a typed law as a Formula.
 
     Parameters
     ----------
-    text : str
     types : mapping of str to Type
         The inputs that exist (`bsp_gp.language.inputs.input_types`).
     operators : mapping of str to str, optional
@@ -53,10 +52,6 @@ def parse_formula(text, types: Mapping, *, operators: Mapping | None = None, uni
         `project`.
     units : UnitSystem, optional
         Of the data: a number with a unit that the data are not calibrated in is an error.
-
-    Returns
-    -------
-    Formula
 
     Raises
     ------

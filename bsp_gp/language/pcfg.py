@@ -15,7 +15,6 @@ class Pcfg:
 
     Attributes
     ----------
-    grammar : Grammar
     probabilities : ndarray, shape (n_rules,)
         Sums to one over the enabled rules of every nonterminal; 0 for masked rules.
     """

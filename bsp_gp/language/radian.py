@@ -5,9 +5,9 @@ number of its radians.
 """
 
 from bsp_gp.language.formula import Call, Number
-from bsp_gp.units import Unit
+from bsp_gp.units import METRE
 
-RADIAN = Number(1.0, Unit.of(m=1), "1 [rad]")
+RADIAN = Number(1.0, METRE, "1 [rad]")
 OF_ANGLES = frozenset(("sin", "cos"))
 """Functions that take angles."""
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.errors import UnitError
-from bsp_gp.physics.force import constant_units
 from bsp_gp.units import BASE, FORCE, Unit, parse_unit
 
 _ASTRONOMICAL = 1e10
@@ -237,8 +236,9 @@ def fit_retold(found, units):
 def factors_of(law, units):
     """What one unit of a constant of a law, as it is told, is in SI, by name."""
     told = Told(units.declared, units.symbols)
-    found = {name: unit for term in law.terms for name, unit in constant_units(term).items()}
-    return {name: 1.0 / told.unit(units.text(unit))[0] for name, unit in found.items()}
+    return {
+        name: 1.0 / told.unit(units.text(unit))[0] for name, unit in law.constant_units.items()
+    }
 
 
 def retold(report):

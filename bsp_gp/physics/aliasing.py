@@ -8,7 +8,7 @@ import numpy as np
 from bsp_gp.data.scene import CHECK
 from bsp_gp.language.formula import Call, evaluate, walk
 from bsp_gp.language.render import to_text
-from bsp_gp.units import Unit
+from bsp_gp.units import SECOND
 
 WAVES = ("sin", "cos")
 SAME = 0.9
@@ -20,20 +20,8 @@ def aliasing_notes(law, scenes, units):
 
     Rows at a step d show the angular frequencies w and w - 2 pi k / d alike. Rows at uneven times
     do not, and nothing is said of them.
-
-    Parameters
-    ----------
-    law : ForceLaw
-        With the values of its constants.
-    scenes : sequence of Scene
-        As they are fitted.
-    units : UnitSystem
-
-    Yields
-    ------
-    str
     """
-    second = units.text(Unit.of(s=1))
+    second = units.text(SECOND)
     grids = [_step(scene.times) for scene in scenes]
     for wave, label, speed in dict.fromkeys(_speeds(law, scenes[0].times)):
         pairs = zip(scenes, grids, strict=True)

@@ -15,7 +15,7 @@ from bsp_gp.language.inputs import DIRECTIONS, input_types, property_of
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.geometry import Shapes, contact_point
 from bsp_gp.physics.series import Series
-from bsp_gp.units import ANGLES, DIMENSIONLESS, Unit
+from bsp_gp.units import ANGLES, DIMENSIONLESS, KILOGRAM
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +86,7 @@ def under(law, bodies):
 
 
 def subset(bodies, scenes):
-    """The bodies of some of the scenes.
-
-    Parameters
-    ----------
-    scenes : ndarray of int, shape (S,)
-    """
+    """The bodies of some of the scenes, by their numbers (S,)."""
     return replace(
         bodies,
         names=tuple(bodies.names[s] for s in scenes),
@@ -130,9 +125,7 @@ class _Inputs(Mapping):
         if name in ("p_i", "p_j", "v_i", "v_j"):
             return self._state(self.positions if name[0] == "p" else self.velocities, name[-1])
         if name in ("s_i", "s_j"):
-            shapes = self.bodies.shapes
-            fields = (shapes.code, shapes.radius, shapes.width, shapes.height)
-            return Shapes(*(self._property(values, name[-1]) for values in fields))
+            return self.bodies.shapes.map(lambda values: self._property(values, name[-1]))
         if name == "t":
             return np.asarray(self.times)[(...,) + (None,) * self.tail]
         if name == "p_c":
@@ -155,10 +148,7 @@ class _Inputs(Mapping):
 class PairInputs(_Inputs):
     """Inputs of every receiver and source, shape (..., S, R, N - 1) and a trailing d for vectors.
 
-    Parameters
-    ----------
-    positions, velocities : ndarray, shape (..., S, N, d)
-    times : ndarray, shape (..., S)
+    States have the shape (..., S, N, d), times (..., S).
     """
 
     tail = 2
@@ -204,7 +194,6 @@ class Batch:
 
     Attributes
     ----------
-    scenes : tuple of Scene
     times : ndarray, shape (T, S), padded with nan
     positions : ndarray, shape (T, S, N, d)
     velocities : ndarray, shape (T, S, N, d) or None
@@ -233,8 +222,6 @@ def stack(scenes, up=None, velocity="ignore"):
 
     Parameters
     ----------
-    up : str or None
-        Declared vertical axis of the data set.
     velocity : str
         "measured" keeps the scenes' velocities.
     """
@@ -343,5 +330,5 @@ def dataset_types(dataset):
     types |= input_types_of(dataset)
     # A bare mass is always speakable: accelerations are what is fitted, and m_i may cancel.
     for name in ("m_i", "mass_i"):
-        types.setdefault(name, input_types({"mass": Unit.of(kg=1)})[name])
+        types.setdefault(name, input_types({"mass": KILOGRAM})[name])
     return types

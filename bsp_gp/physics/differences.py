@@ -13,19 +13,7 @@ MOST_NUMBERS = 4e7
 
 
 def difference_weights(offsets, order):
-    """Weights of a finite difference at 0 on any grid (Fornberg 1988, Math. Comp. 51, 699).
-
-    Parameters
-    ----------
-    offsets : ndarray, shape (k,)
-        Places of the samples relative to where the derivative is wanted.
-    order : int
-        Order of the derivative.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-    """
+    """Weights of a derivative at 0 by values at offsets (Fornberg 1988, Math. Comp. 51, 699)."""
     # Scaled to unit spacing, so that the powers stay near one.
     width = np.max(np.abs(offsets))
     x = np.asarray(offsets, dtype=float) / width

@@ -12,6 +12,7 @@ import numpy as np
 
 from bsp_gp.errors import EvaluationError, SettingsError
 from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.engine.driven import curve_through
 from bsp_gp.physics.evaluation import PreparedLaw
 from bsp_gp.physics.masses import with_unit_masses
 from bsp_gp.physics.series import Series
@@ -48,13 +49,19 @@ def step_rk4(acceleration, p, v, t, h):
 INTEGRATORS = {"euler": step_euler, "leapfrog": step_leapfrog, "rk4": step_rk4}
 
 
+def step_of(integrator):
+    """The step of an integrator; SettingsError if there is none of this name."""
+    if integrator not in INTEGRATORS:
+        raise SettingsError(
+            f"integrator must be one of {', '.join(INTEGRATORS)}, got {integrator!r}"
+        )
+    return INTEGRATORS[integrator]
+
+
 class Tracks:
     """Where entities that forces do not move are, between the measured rows as well.
 
-    Parameters
-    ----------
-    substeps : int
-        The places asked for are rows and the halves of every sub-step.
+    The places asked for are rows and the halves of every sub-step.
     """
 
     def __init__(self, batch, substeps):
@@ -81,24 +88,15 @@ class Tracks:
             times = batch.times[:, s]
             n = int(np.isfinite(times).sum())
             rows = np.flatnonzero(seen[:, s, k])
-            curve = self._curve(batch, s, self.driven[k], rows)
+            given = batch.velocities
+            given = None if given is None else given[rows, s, self.driven[k]]
+            curve = curve_through(times[rows], track[rows, s, k], given)
             places = times[: n - 1, None] + np.diff(times[:n])[:, None] * fractions
             # Before the first and after the last seen row: straight on.
             inside = np.clip(places, times[rows[0]], times[rows[-1]])
             slope = curve.derivative()(inside)
             self.positions[: n - 1, :, s, k] = curve(inside) + slope * (places - inside)[..., None]
             self.velocities[: n - 1, :, s, k] = slope
-
-    def _curve(self, batch, s, entity, rows):
-        from scipy.interpolate import CubicHermiteSpline, make_interp_spline
-
-        times, p = batch.times[rows, s], batch.positions[rows, s, entity]
-        if batch.velocities is not None:
-            v = batch.velocities[rows, s, entity]
-            if np.isfinite(v).all():
-                return CubicHermiteSpline(times, p, v)
-        degree = 5 if len(rows) > 5 else 1 if len(rows) < 4 else 3
-        return make_interp_spline(times, p, k=degree)
 
     def place(self, p, v, k, point):
         """Put the driven entities where they are at step `k`, half-sub-step `point`."""
@@ -132,11 +130,7 @@ def rollout(law, batch, positions, velocities, *, integrator="rk4", substeps=1, 
         Positions at the measured times; nan after the last row of shorter scenes, or where the
         motion has left the range of numbers.
     """
-    if integrator not in INTEGRATORS:
-        raise SettingsError(
-            f"integrator must be one of {', '.join(INTEGRATORS)}, got {integrator!r}"
-        )
-    step = INTEGRATORS[integrator]
+    step = step_of(integrator)
     bodies = batch.bodies
     receivers = bodies.receivers
     tracks = Tracks(batch, substeps)

@@ -163,7 +163,6 @@ def _follow(plan, values, lookup):
 
 
 def _contacts_of(formula):
-    """Contacts among the factors of a formula."""
     if not isinstance(formula, Call):
         return ()
     if formula.operator in CONTACTS:
@@ -176,13 +175,7 @@ def _contacts_of(formula):
 class Instants(_Steps):
     """Terms of a kind at the same instants, for many values of the constants inside them.
 
-    What no constant changes is computed once.
-
-    Parameters
-    ----------
-    terms : sequence of Term
-    positions, velocities : ndarray, shape (n, S, N, d)
-    times : ndarray, shape (n, S)
+    What no constant changes is computed once. Places and velocities are (n, S, N, d), times (n, S).
     """
 
     def __init__(self, terms, bodies, positions, velocities, times):
@@ -202,14 +195,7 @@ class Instants(_Steps):
     def accelerations(self, constants):
         """Accelerations of the terms for P values of the constants, shape (n, S, R, P, c, d).
 
-        Parameters
-        ----------
-        constants : dict of str to ndarray, shape (P,)
-
-        Returns
-        -------
-        ndarray
-            Not finite where a term is not.
+        They are not finite where a term is not.
         """
         values, tail = self.start.copy(), (1,) * (len(self._shape) - 2 + self._lookup.tail)
         n_values = len(next(iter(constants.values())))
@@ -228,10 +214,6 @@ class Settling:
     A receiver of which a property that the term needs is unknown cannot feel the term: its
     acceleration is 0. With constants of its own (`per_entity`) only its mass is not needed:
     the constant is then per unit mass.
-
-    Parameters
-    ----------
-    per_entity : bool
     """
 
     def __init__(self, term, bodies, per_entity=False):
@@ -273,12 +255,7 @@ def _summed(force):
 
 
 def unknown_receivers(term, bodies):
-    """Receivers of which the term names a property (beside a cancelling mass) that is unknown.
-
-    Returns
-    -------
-    ndarray of bool, shape (S, R)
-    """
+    """Receivers (S, R) of which the term names an unknown property, beside a cancelling mass."""
     kept = bodies.__dict__.setdefault("_unknown", {})
     if term.acceleration_formula not in kept:
         kept[term.acceleration_formula] = _unknown_receivers(term, bodies)

@@ -26,7 +26,7 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.physics.bodies import law_inputs, under
 from bsp_gp.physics.dynamics import simulated_scene
 from bsp_gp.physics.evaluation import PreparedLaw, Settling
-from bsp_gp.units import BASE, FORCE, Unit
+from bsp_gp.units import BASE, FORCE, METRE, SPEED, Unit
 
 HOLDING = ("constraint", "linkage", "wall")
 """Kinds of parts of what bodies do beside forces."""
@@ -141,8 +141,7 @@ class Unseen:
     @property
     def units(self):
         """Units of its constants by name."""
-        metre, speed = Unit.of(m=1), Unit.of(m=1, s=-1)
-        own = {**dict.fromkeys(self.places, metre), **dict.fromkeys(self.speeds, speed)}
+        own = {**dict.fromkeys(self.places, METRE), **dict.fromkeys(self.speeds, SPEED)}
         return {**own, **self.strength}
 
 
@@ -152,7 +151,6 @@ class ForceLaw:
 
     Attributes
     ----------
-    terms : tuple of Term
     constants : mapping of str to float, or to a mapping of entity name to float
         Every constant that the terms name. A mapping means one value per receiver, or, if the name
         ends in ``[scene]``, per scene. Who is not in it has none; of indexed names the mean.
@@ -243,7 +241,6 @@ class ForceLaw:
 
         Parameters
         ----------
-        bodies : Bodies
         positions, velocities : ndarray, shape (..., S, N, d), m and m/s
             Or of one scene, (..., 1, N, d), with which all scenes of `bodies` are evaluated.
         times : ndarray, shape (..., S) or (..., 1), s
@@ -257,6 +254,16 @@ class ForceLaw:
         """
         return PreparedLaw(self, bodies, values).acceleration(positions, velocities, times)
 
+    @property
+    def constant_units(self):
+        """Units of the constants of its terms, by name."""
+        return {name: unit for term in self.terms for name, unit in constant_units(term).items()}
+
+    @property
+    def shared(self):
+        """Constants with one value, by name."""
+        return {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
+
     def is_per_entity(self, term):
         """Whether a constant of the term has one value per receiver."""
         return any(
@@ -265,7 +272,7 @@ class ForceLaw:
         )
 
     def __repr__(self):
-        shared = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
+        shared = self.shared
         own = [k for k in self.constants if k not in shared]
         lines = [f"ForceLaw: F_i = {self.text(digits=False)}"]
         lines += [f"  {', '.join(f'{k} = {v:.4g}' for k, v in shared.items())}"] if shared else []
@@ -277,7 +284,7 @@ class ForceLaw:
         return f"<div>$${escape(self.latex(digits=False))}$$</div><pre>{escape(repr(self))}</pre>"
 
     def simulate(self, scene, states=None, times=None, *, up=None, substeps=16):
-        """Motion under the law from any start.
+        """Motion under the law from any start, a Scene.
 
         Parameters
         ----------
@@ -292,10 +299,6 @@ class ForceLaw:
             Axis that points up, where the law needs it; by default that of the law.
         substeps : int
             Steps from one time to the next.
-
-        Returns
-        -------
-        Scene
         """
         return simulated_scene(self, scene, states, times, up=up or self.up, substeps=substeps)
 
@@ -303,8 +306,8 @@ class ForceLaw:
 
     def text(self, digits=True, units=None):
         """The law as text; with `digits`, constants are written as numbers."""
-        values = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
-        parts = [to_text(t.formula, values if digits else {}, units or {}) for t in self.terms]
+        values = self.shared if digits else {}
+        parts = [to_text(t.formula, values, units or {}) for t in self.terms]
         parts = [re.sub(r"^--(?=\d)", "", part) for part in parts]  # minus a negative constant
         total = " + ".join(parts).replace("+ -", "- ") if parts else "0"
         total = _as_torques(total)
@@ -312,11 +315,9 @@ class ForceLaw:
         return ", ".join([total, *(p.describe() for p in held)])
 
     def latex(self, digits=True, units=None):
-        """The law typeset as LaTeX."""
-        values = {k: v for k, v in self.constants.items() if not isinstance(v, Mapping)}
-        parts = []
+        values, parts = self.shared if digits else {}, []
         for term in self.terms:
-            body = to_latex(term.formula, values if digits else {}, units or {})
+            body = to_latex(term.formula, values, units or {})
             body = re.sub(r"^--(?=\d)", "", body)
             if term.kind == "pair":  # the sign stands before the sum
                 sign, body = ("- ", body[1:].lstrip()) if body.startswith("-") else ("", body)
@@ -364,13 +365,7 @@ def tabled(law, scenes):
 
 
 def term_gradient(law, term, bodies, positions, velocities, times):
-    """Acceleration of one term and its exact derivatives by the (scalar) constants of the term.
-
-    Returns
-    -------
-    value : ndarray, shape (..., S, R, d)
-    gradient : dict of str to ndarray of that shape
-    """
+    """Acceleration of a term (..., S, R, d), and its exact derivatives by its scalar constants."""
     lookup = law_inputs(term.kind, under(law, bodies), positions, velocities, times)
     shape = (*positions.shape[:-2], len(bodies.receivers), bodies.n_dims)
     names = term.formula.constants
@@ -406,15 +401,9 @@ def fresh_names(law, names, stem=None):
 
 
 def split_linear(formula):
-    """Split a product into its linear constant and the rest.
+    """The linear constant of a product, the one factor that occurs nowhere else, and the rest.
 
-    Returns
-    -------
-    name : str or None
-        The constant that multiplies everything, if there is exactly one such factor and it
-        occurs nowhere else.
-    rest : Formula
-        The formula without it.
+    The name is None if there is not exactly one.
     """
     return formula.once(_split)
 
@@ -432,11 +421,8 @@ def _split(formula):
 def constant_units(term):
     """Units of constants of a term: of what is added to a quantity, and of its linear constant.
 
-    Returns
-    -------
-    dict of str to Unit
-        The linear constant turns the rest into a force; it is not among them if the rest has other
-        constants with open units.
+    The linear constant turns the rest into a force; it is left out if the rest has other constants
+    with open units.
     """
     units = _summand_units(term.formula) | added_units(term.formula) | _scale_units(term.formula)
     name, rest = split_linear(term.formula)
@@ -559,5 +545,5 @@ def needs_masses(law):
     units = []
     for term in law.terms:
         units += [n.type.unit for n in walk(term.formula) if isinstance(n, Number)]
-        units += constant_units(term).values()
+    units += law.constant_units.values()
     return any(isinstance(unit, Unit) and unit.exponents[kg] for unit in units)

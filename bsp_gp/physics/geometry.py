@@ -27,8 +27,11 @@ class Shapes:
             np.array([e.height for e in entities], dtype=float),
         )
 
+    def map(self, change):
+        return Shapes(*map(change, (self.code, self.radius, self.width, self.height)))
+
     def __getitem__(self, index):
-        return Shapes(self.code[index], self.radius[index], self.width[index], self.height[index])
+        return self.map(lambda values: values[index])
 
     def collides(self, p_self, other, p_other):
         """1.0 where a disc touches another disc or a wall, else 0.0.

@@ -31,18 +31,9 @@ from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.physics.bodies import stack
 from bsp_gp.physics.differences import difference_weights, gls_whitener
 from bsp_gp.physics.noise import relative_sizes
-from bsp_gp.physics.regression import Regression, RegressionBatch, stack_draws
+from bsp_gp.physics.regression import Regression, RegressionBatch
 from bsp_gp.physics.weak import WeakForm
 from bsp_gp.physics.weak_width import estimated_level
-
-__all__ = [
-    "METHODS",
-    "Regression",
-    "RegressionBatch",
-    "build_regression",
-    "difference_weights",
-    "stack_draws",
-]
 
 METHODS = (
     "one_step", "one_step_gls", "central", "gls", "derivative", "weak", "one_step_weak"

@@ -4,17 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.data.scene import Entity
 from bsp_gp.errors import DataError, LawError, in_python
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.evaluation import unknown_receivers
-from bsp_gp.units import Unit
+from bsp_gp.units import KILOGRAM
 
 NO_MASS = "no mass is known: constants are per unit mass of the body that moves"
 """Note on a data set without any mass."""
 ONE_KILOGRAM = "no mass is given: every body is taken as 1 kg"
 """How such a note begins where the data say what a unit of mass is."""
-_KILOGRAM = Unit.of(kg=1)
 
 
 def has_masses(dataset):
@@ -29,7 +27,7 @@ def are_units(dataset):
 
 def without_masses(dataset):
     """The note on a data set without any mass."""
-    if not dataset.units.is_calibrated(_KILOGRAM):
+    if not dataset.units.is_calibrated(KILOGRAM):
         return NO_MASS
     return in_python(
         f"{ONE_KILOGRAM}, and constants with kg or N in their units are those of such a body; "
@@ -40,15 +38,12 @@ def without_masses(dataset):
 def with_usable_masses(dataset, counts=True):
     """Where no dynamic entity has a mass, every mass is one: constants are per unit mass.
 
+    It is the same object where a mass is known; else it has a note.
+
     Parameters
     ----------
     counts : bool
         Whether the mass makes a difference, as far as the law is known.
-
-    Returns
-    -------
-    Dataset
-        The same object where a mass is known; else with a note.
 
     Raises
     ------
@@ -78,24 +73,11 @@ def with_unit_masses(scene):
 def _unit_mass(entity):
     if entity.is_static or np.isfinite(entity.mass):
         return entity
-    return Entity(
-        entity.name,
-        entity.shape,
-        entity.radius,
-        entity.width,
-        entity.height,
-        entity.is_static,
-        {**entity.properties, "mass": 1.0},
-    )
+    return replace(entity, properties={**entity.properties, "mass": 1.0})
 
 
 def check_properties(batches, law):
     """A pooled term must be able to act on every body that moves.
-
-    Parameters
-    ----------
-    batches : sequence
-        With the `bodies` of some scenes.
 
     Raises
     ------

@@ -10,19 +10,12 @@ METRICS = ("residual_acceleration", "one_step_nrmse", "rollout_rmse", "endpoint"
 
 
 def error_of(metric, rows):
-    """An error of some held-out scenes.
+    """An error of some held-out scenes, one of `METRICS`; nan where there is nothing to score.
 
     Parameters
     ----------
-    metric : str
-        One of `METRICS`.
     rows : sequence of dict
         A row per scene, with the fields of `ERRORS`: nan where there is nothing.
-
-    Returns
-    -------
-    float
-        nan where there is nothing to score.
     """
     field, told_by, error = ERRORS[metric]
     return error([told_by(row[field]) for row in rows])
@@ -35,7 +28,6 @@ def one_step_errors(scenes, law, up=None, sources=True):
 
     Parameters
     ----------
-    up : str or None
     sources : bool
         Whether rows where any body is lost are left out, as they must be where laws name others.
 

@@ -4,13 +4,7 @@ import numpy as np
 
 
 def relative_sizes(batch, sigma):
-    """Size of the error of every point as a part of the typical one, shape (T, S, N).
-
-    Returns
-    -------
-    ndarray or None
-        None where no point quotes its own.
-    """
+    """Errors of points as parts of the typical one, (T, S, N); None where no point quotes one."""
     return None if batch.sigma is None else sizes_of(batch.sigma, sigma)
 
 

@@ -22,7 +22,6 @@ class RegressionBatch:
 
     Attributes
     ----------
-    bodies : Bodies
     times : ndarray, shape (n, S), s
     positions, velocities : ndarray, shape (n, S, N, d)
         The state at which a law is evaluated.
@@ -103,7 +102,6 @@ class Regression:
     ----------
     sigma : ndarray, shape (d,)
         Standard deviation used: of positions, metres, or of accelerations (``derivative``).
-    scenes : tuple of Scene
     widths : Widths or None
         Of the test functions (``weak``).
     n_rows : int
@@ -146,7 +144,6 @@ class Regression:
 
         Parameters
         ----------
-        per_entity : bool
         cache : list of dict, one per batch, optional
             Values of sub-formulas, kept between calls for terms of one kind.
 
@@ -156,26 +153,28 @@ class Regression:
         names : tuple of str
             Receiver names for ``per_entity``, else ``("",)``.
         """
-        parts = []
-        for index, batch in enumerate(self.batches):
+        values = self._accelerations(term, per_entity, cache)
+        parts = [b.whiten(value) for b, value in zip(self.batches, values, strict=True)]
+        if not per_entity:
+            return self._flat(parts)[:, None], ("",)
+        columns = [self._flat(own) for own in self._by_receiver(parts)]
+        return np.stack(columns, axis=1), self.receiver_names()
+
+    def _accelerations(self, term, per_entity, cache=None):
+        """Accelerations by a constant-free term, batch by batch."""
+        for batch, known in zip(self.batches, cache or [None] * len(self.batches), strict=True):
             lookup = law_inputs(
                 term.kind, batch.bodies, batch.positions, batch.velocities, batch.times
             )
-            known = None if cache is None else cache[index]
             force = evaluate(term.acceleration_formula, lookup, cache=known)
             value = Settling(term, batch.bodies, per_entity)(force, batch.target.shape)
-            parts.append(batch.whiten(checked(value, batch)))
-        if not per_entity:
-            return self._flat(parts)[:, None], ("",)
-        names = self.receiver_names()
-        columns = []
-        for name in names:
-            pieces = []
-            for batch, part in zip(self.batches, parts, strict=True):
-                mine = np.array([[n == name for n in row] for row in batch.bodies.receiver_names])
-                pieces.append(part * mine[..., None])
-            columns.append(self._flat(pieces))
-        return np.stack(columns, axis=1), names
+            yield checked(value, batch)
+
+    def _by_receiver(self, parts):
+        """Arrays (n, S, R, d) of all batches, zero but for one receiver, a list for each."""
+        for name in self.receiver_names():
+            own = [np.array(b.bodies.receiver_names) == name for b in self.batches]
+            yield [part * mine[..., None] for part, mine in zip(parts, own, strict=True)]
 
     def gradient(self, law, term):
         """Whitened derivatives of one term by its constants, dict of vectors."""

@@ -38,23 +38,16 @@ class Series:
 
     @property
     def names(self):
-        """Of the inputs, tuple of str."""
         return tuple(dict.fromkeys(name for name, _, _ in self.curves))
 
     def at(self, name, scenes, bodies, times):
-        """Values of an input.
+        """Values of an input, (..., S, R) or (..., S, R, d); nan of bodies that have none.
 
         Parameters
         ----------
-        name : str
         scenes : sequence of str, length S
         bodies : sequence of sequence of str, S x R
         times : ndarray, shape (..., S), or (..., 1), s
-
-        Returns
-        -------
-        ndarray, shape (..., S, R) or (..., S, R, d)
-            nan of bodies that have none.
         """
         times = np.broadcast_to(times, (*np.shape(times)[:-1], len(scenes)))
         columns = [

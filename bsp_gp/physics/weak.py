@@ -16,6 +16,7 @@ import numpy as np
 
 from bsp_gp.errors import DataError
 from bsp_gp.physics.differences import DENSE_LIMIT
+from bsp_gp.physics.engine.chains import spread
 from bsp_gp.physics.weak_states import states_of
 from bsp_gp.physics.weak_tracks import Track, reach_of, runs_of
 from bsp_gp.physics.weak_width import Widths, choose_spacing
@@ -61,11 +62,6 @@ class WeakForm:
         Whether velocities are measured, with noise of their own.
     is_unsure : callable, optional
         ``is_unsure(bodies, positions) -> (T, S, R)``: rows at which no force is to be asked for.
-
-    Attributes
-    ----------
-    widths : Widths
-    parts : list of WeakPart, one per batch
     """
 
     def __init__(
@@ -89,14 +85,15 @@ class WeakForm:
         self.is_unsure = is_unsure
         self._tracks = {}
         self._check()
-        self.step = float(np.nanmedian(np.concatenate([_steps(b.times).ravel() for b in batches])))
+        steps = np.concatenate([np.diff(b.times, axis=0).ravel() for b in batches])
+        self.step = float(np.nanmedian(steps))
         tried = ()
         if width is None:
             self.spacing, tried = choose_spacing(self._series(), self.step, is_measured)
         else:
             self.spacing = 0.0 if width <= 2 * self.step else width / reach_of(is_measured)
         self.parts = [self._part(batch) for batch in batches]
-        longest = max(float(np.nanmax(np.ptp(_filled(b.times), axis=0))) for b in batches)
+        longest = max(float(spread(b.times).max()) for b in batches)
         reach = min(reach_of(is_measured) * self.spacing or 2 * self.step, longest)
         n_functions = int(sum(part.kept.sum() for part in self.parts))
         self.widths = Widths(reach, reach / self.step, self.spacing, n_functions, tried)
@@ -166,7 +163,7 @@ class WeakForm:
         """Longest step that is bridged: what test functions do not resolve."""
         if self.is_stepped:
             return 1.5
-        steps = _steps(times)
+        steps = np.diff(times)
         usual = np.quantile(steps[np.isfinite(steps)], 0.9)
         return max(BRIDGED * float(usual), spacing)
 
@@ -177,7 +174,7 @@ class WeakForm:
         if scene.sigma is None or self.is_measured:
             return sigma
         quoted = scene.sigma[:, index]
-        floor = FLOOR * np.ptp(_filled(batch.positions[:, s, index]), axis=0)
+        floor = FLOOR * spread(batch.positions[:, s, index])
         rows = slice(0, len(quoted))
         known = np.isfinite(quoted) & np.isfinite(level)
         sigma[rows] = np.where(known, np.maximum(quoted, floor), sigma[rows])
@@ -305,15 +302,3 @@ def _key(times, runs, sigma):
     """What tells tracks with test functions of their own apart."""
     nodes = tuple(run.nodes.tobytes() for run in runs)
     return np.nan_to_num(times).tobytes(), nodes, sigma.tobytes()
-
-
-def _steps(times):
-    return np.diff(times, axis=0)
-
-
-def _filled(values):
-    """Values with nan replaced by the mean of a column, for a range."""
-    seen = np.isfinite(values)
-    count = np.maximum(seen.sum(axis=0), 1)
-    mean = np.where(seen, values, 0.0).sum(axis=0) / count
-    return np.where(seen, values, mean)

@@ -15,7 +15,9 @@ LEAST_ROWS_PER_SPLINE = 2.0
 
 
 def states_of(times, positions, sigma, *, spacing, limit, is_stepped=False):
-    """Positions and velocities of every body of a scene.
+    """Positions and velocities of every body of a scene, (T, N, d) each.
+
+    Velocities are nan where a body is not seen on both sides (stepped: in the row before).
 
     Parameters
     ----------
@@ -32,11 +34,6 @@ def states_of(times, positions, sigma, *, spacing, limit, is_stepped=False):
         Longest step that a spline bridges, s (rows, if stepped).
     is_stepped : bool
         Backward velocities, of the step before a row.
-
-    Returns
-    -------
-    positions, velocities : ndarray, shape (T, N, d)
-        Velocities are nan where a body is not seen on both sides (stepped: in the row before).
     """
     places, velocities = np.array(positions), np.full(positions.shape, np.nan)
     seen = np.isfinite(positions).all(axis=-1) & np.isfinite(times)[:, None]

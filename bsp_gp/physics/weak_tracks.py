@@ -31,14 +31,9 @@ _GAUSS = np.polynomial.legendre.leggauss(3)
 
 @dataclass(frozen=True)
 class Run:
-    """Rows over which test functions may reach.
+    """Rows of a track, `nodes`, over which test functions may reach.
 
-    Attributes
-    ----------
-    nodes : ndarray of int
-        Rows of the track, in order.
-    inner : ndarray of int
-        Places in `nodes` where the law is evaluated.
+    The law is evaluated at the places `inner` among them.
     """
 
     nodes: np.ndarray
@@ -100,7 +95,9 @@ def design(times, knots):
 
 
 def combs(times, spacing, sigma, is_measured=False):
-    """Weights of the rows of a run in the test functions.
+    """Weights of the rows of a run in the test functions, (K, n).
+
+    Those of positions are blind to straight motion, of measured velocities to a constant one.
 
     Parameters
     ----------
@@ -108,11 +105,6 @@ def combs(times, spacing, sigma, is_measured=False):
     spacing : float
         Between the knots of the splines, s. 0: the narrowest test functions, as many as there are.
     sigma : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (K, n)
-        Of positions, blind to straight motion; of measured velocities, blind to a constant.
     """
     n = len(times)
     n_blind = 1 if is_measured else 2
@@ -163,12 +155,9 @@ def second_differences(times):
 
 
 def values_of_combs(comb, times, is_measured=False):
-    """Test functions whose last derivative is the comb.
+    """Test functions whose last derivative is the comb: at inner rows, (K, n - 2).
 
-    Returns
-    -------
-    ndarray, shape (K, n - 2) or (K, n - 1)
-        At the inner rows; where velocities are measured, on every step.
+    Where velocities are measured, on every step, (K, n - 1).
     """
     slopes = np.cumsum(comb, axis=1)[:, :-1]
     if is_measured:
@@ -177,16 +166,12 @@ def values_of_combs(comb, times, is_measured=False):
 
 
 def quadrature(times, is_measured, is_stepped):
-    """Weights that turn values of a law at inner rows into integrals against hats or steps.
+    """Weights, (places, inner rows), of a law's values in integrals against hats or steps.
 
     Parameters
     ----------
     is_stepped : bool
         The motion was made by steps: a force acts at the rows alone, for the mean of two steps.
-
-    Returns
-    -------
-    ndarray, shape (places, inner rows)
     """
     n = len(times)
     if is_stepped:
@@ -250,9 +235,7 @@ class Track:
         sigma : ndarray, shape (T,)
             Standard deviations of the positions (velocities).
         """
-        blocks = _blocks(times, runs, spacing, sigma, is_measured)
-        data = np.concatenate([np.zeros((0, len(times))), *blocks])
-        whitener, kept = _whitener(data * sigma)
+        blocks, whitener, kept, observe = _observing(times, runs, spacing, sigma, is_measured)
         inner = np.zeros(len(times), dtype=bool)
         law = [np.zeros((0, len(times)))]
         for run, block in zip(runs, blocks, strict=True):
@@ -261,15 +244,21 @@ class Track:
             values = values_of_combs(block[:, run.nodes], t, is_measured)
             law.append(np.zeros(block.shape))
             law[-1][:, run.nodes[run.inner]] = values @ quadrature(t, is_measured, is_stepped)
-        return cls(whitener @ data[kept], whitener @ np.concatenate(law)[kept], inner)
+        return cls(whitener @ observe, whitener @ np.concatenate(law)[kept], inner)
 
 
 def seen_through(times, runs, spacing, sigma, values, is_measured=False):
     """What whitened test functions see of some values (T, k): shape (K, k), see `Track.of`."""
+    _, whitener, _, observe = _observing(times, runs, spacing, sigma, is_measured)
+    return whitener @ (observe @ values)
+
+
+def _observing(times, runs, spacing, sigma, is_measured):
+    """Combs of every run, what whitens them, which of all are independent, and those."""
     blocks = _blocks(times, runs, spacing, sigma, is_measured)
     data = np.concatenate([np.zeros((0, len(times))), *blocks])
     whitener, kept = _whitener(data * sigma)
-    return whitener @ (data[kept] @ values)
+    return blocks, whitener, kept, data[kept]
 
 
 def _blocks(times, runs, spacing, sigma, is_measured):

@@ -23,12 +23,7 @@ _MAX_LABELS = 60
 
 
 def constants_figure(report):
-    """Draw the constants with their intervals.
-
-    Returns
-    -------
-    (caption, Figure) or None
-    """
+    """Draw the constants with their intervals: (caption, Figure), or None."""
     shared, own = constant_groups([c for c in report.constants if is_number(c.value)])
     shared = [c for c in shared if c.value and is_number(c.low) and is_number(c.high)]
     if not shared and not own:
@@ -89,12 +84,7 @@ def _draw_intervals(panel, values, low, high, labels):
 
 
 def rounds_figure(report):
-    """Draw the errors before and after every round, beside the floor.
-
-    Returns
-    -------
-    (caption, Figure) or None
-    """
+    """Draw the errors before and after every round, and the floor: (caption, Figure), or None."""
     panels = []
     for metric, title in (
         ("rollout_rmse", "Position error of rollouts"),

@@ -18,10 +18,7 @@ LONGEST = 150
 def brief_lines(report):
     """Lines on what was found, its constants and what is not told apart from it.
 
-    Returns
-    -------
-    found, constants, rivals : list of str
-        At most one, `MAX_CONSTANTS` and one.
+    Lists of one line at the most, of `MAX_CONSTANTS`, and of one.
     """
     page = page_of(report)
     return _found(page), _constants(page), _rivals(page)

@@ -15,13 +15,7 @@ _MASSES = (("Msun", 0.08), ("Mjup", 0.1), ("Mearth", 0.0))
 
 
 def companion_of(effect):
-    """Its period, how fast it makes the star go, the shape of the orbit, and the least mass.
-
-    Parameters
-    ----------
-    effect : SimpleNamespace
-        Of `page_of`, told in the units of the data.
-    """
+    """Its period, how fast it makes the star go, the shape of the orbit, and the least mass."""
     known: dict = {}
     for c in effect.constants:
         if found := re.fullmatch(r"(P|K|e)(\d+)", c.name):

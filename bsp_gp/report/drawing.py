@@ -116,14 +116,7 @@ def axis_label(name, unit):
 
 
 def scaled(unit, *arrays):
-    """Factor and unit that make numbers of readable size.
-
-    Returns
-    -------
-    factor : float
-    unit : str
-        With the power of ten in front where there is one.
-    """
+    """Factor and unit, a power of ten in front if need be, that make numbers of readable size."""
     size = max((float(np.nanmax(np.abs(a))) for a in arrays if np.isfinite(a).any()), default=0.0)
     if size == 0 or not math.isfinite(size) or 1e-2 <= size < 1e4:
         return 1.0, unit

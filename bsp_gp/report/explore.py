@@ -35,17 +35,14 @@ def script_digest():
 def exploration(report, units, has_after):
     """Tracks and residuals for the script, or None where there are none.
 
+    ``text`` is JSON that no element ends, ``has_left`` whether it holds residuals.
+
     Parameters
     ----------
     units : (str, str, str)
         Of lengths, accelerations and times.
     has_after : bool
         Whether a law was adopted.
-
-    Returns
-    -------
-    {"text": str, "has_left": bool} or None
-        JSON that no element ends, and whether it holds residuals.
     """
     length, acceleration, time = units
     tracks = [

@@ -45,14 +45,7 @@ _MIN_PER_BIN = 8
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure with its words.
-
-    Attributes
-    ----------
-    name : str
-        File name without its ending.
-    figure : matplotlib.figure.Figure
-    """
+    """A figure with its words; its name is that of a file without the ending."""
 
     name: str
     caption: str
@@ -60,7 +53,6 @@ class ReportFigure:
 
     @functools.cached_property
     def svg(self):
-        """The figure as SVG text."""
         return svg_text(self.figure)
 
     @functools.cached_property

@@ -34,18 +34,11 @@ def write_report(
 
     Parameters
     ----------
-    report : LoopReport
     folder : path
         Made, with its parents; must be empty or, with `overwrite`, hold an older report; what
         else it holds is kept.
-    overwrite : bool
     run_info : mapping, optional
         What else belongs into run.json (``argv``, settings); plain values only.
-
-    Returns
-    -------
-    Path
-        The folder.
 
     Raises
     ------

@@ -18,17 +18,14 @@ SEEN = 6.0
 def draw_hidden_map(details, truth=None):
     """Draw where an unseen body must be.
 
+    In 3-D there are two panels: x against y, and x against z.
+
     Parameters
     ----------
     details : dict
         `Explanation.details` of a hidden body, or the same read from JSON.
     truth : sequence of float, optional
         Its true place at that instant, where it is known.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        In 3-D two panels: x against y, and x against z.
     """
     draws = np.asarray(details["draws"], dtype=float)
     n_dims = len(details["centre"])

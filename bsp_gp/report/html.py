@@ -59,7 +59,7 @@ _ERRORS = (
 
 
 def render_html(report, run_info=None, figures=None):
-    """Write the page of a report.
+    """Write the page of a report, a complete HTML document.
 
     Parameters
     ----------
@@ -67,11 +67,6 @@ def render_html(report, run_info=None, figures=None):
         ``argv`` (list of str) is shown as the command that makes the report again.
     figures : dict of str to ReportFigure, optional
         From `build_figures`; drawn here if not given.
-
-    Returns
-    -------
-    str
-        A complete HTML document.
     """
     figures = build_figures(report) if figures is None else figures
     report = page_of(report)
@@ -315,23 +310,18 @@ def _extra(extra):
 
 def _reproduce(report, run_info):
     """Label and text of everything that a run needs to be repeated."""
-    rows = []
-    if run_info.get("argv"):
-        rows.append(("Command", shlex.join(str(a) for a in run_info["argv"])))
-    rows.append(("Seed", str(report.seed)))
-    rows.append(("Level of significance", format_level(report.alpha)))
     grammar = " ".join(
         str(report.grammar[k]) for k in ("name", "fingerprint") if report.grammar.get(k)
     )
-    rows.append(("Grammar", grammar or NOT_KNOWN))
-    if report.dataset.get("fingerprint"):
-        rows.append(("Data", str(report.dataset["fingerprint"])))
     provenance = report.dataset.get("provenance")
     if hasattr(provenance, "items"):
         provenance = "; ".join(f"{k}: {_cell(v)}" for k, v in provenance.items())
-    if provenance:
-        rows.append(("Provenance", str(provenance)))
     versions = ", ".join(f"{k} {v}" for k, v in report.versions.items())
-    rows.append(("Versions", versions or NOT_KNOWN))
-    rows.append(("Time taken", with_unit(format_number(report.wall_s, 3), "s")))
-    return rows
+    rows = [
+        ("Command", shlex.join(map(str, run_info.get("argv") or ()))), ("Seed", report.seed),
+        ("Level of significance", format_level(report.alpha)), ("Grammar", grammar or NOT_KNOWN),
+        ("Data", report.dataset.get("fingerprint") or ""), ("Provenance", provenance or ""),
+        ("Versions", versions or NOT_KNOWN),
+        ("Time taken", with_unit(format_number(report.wall_s, 3), "s")),
+    ]  # fmt: skip
+    return [(label, str(text)) for label, text in rows if text != ""]

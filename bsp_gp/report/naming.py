@@ -301,15 +301,7 @@ def change(code, name, constants=()):
 
 
 def of_scenes(code, names):
-    """What an instrument did in some scenes: "a wrong scale of lengths in scene run2".
-
-    Parameters
-    ----------
-    code : str
-        One of `CAUSES`.
-    names : iterable of str
-        Of its numbers.
-    """
+    """What an instrument did in some scenes: "a wrong scale of lengths in scene run2"."""
     axis = "[xyz]_" if code == "drift" else ""
     found = (re.fullmatch(f"{code}_{axis}(.+)", name) for name in names)
     scenes = list(dict.fromkeys(match[1] for match in found if match))
@@ -324,15 +316,7 @@ def _vector(constants):
 
 
 def along_one_line(phrases, values):
-    """Forces that differ in nothing but their axis told as one: "uniform push along (0.8, 0.6)".
-
-    Parameters
-    ----------
-    phrases : sequence of str
-        As `describe` has them.
-    values : sequence of float or None
-        Their strengths.
-    """
+    """Forces that differ in nothing but their axis told as one: "uniform push along (0.8, 0.6)"."""
     found: dict = {}
     for phrase, value in zip(phrases, values, strict=True):
         axis = re.match(r"(?:uniform push|force) along ([xyz])\b", phrase)

@@ -101,7 +101,6 @@ def _other_error(effect, rows):
 
     Parameters
     ----------
-    effect : SimpleNamespace
     rows : sequence of dict
         Of the table of its round.
     """
@@ -341,7 +340,7 @@ def _effect(effect, name, parts, beside, tied):
 def _tied(done, dataset):
     """Causes of another kind that are as likely."""
     best = done.effect
-    rows = sorted(done.hypotheses, key=lambda row: -_finite(row["probability"]))
+    rows = _likeliest_first(done)
     likely = _LIKELY * max((_finite(row["probability"]) for row in rows), default=0.0)
     others = [
         row for row in rows
@@ -378,9 +377,8 @@ def _in_words(text, dataset, values=None):
 
 def _hypotheses(done):
     """The likeliest rows of the table, as texts."""
-    rows = sorted(done.hypotheses, key=lambda row: -_finite(row["probability"]))
     out = []
-    for row in rows[:_TOLD]:
+    for row in _likeliest_first(done)[:_TOLD]:
         gain, promised = row["held_out"]["gain"], row["held_out"]["promised"]
         held_out = f"{format_number(gain)} of {format_number(promised)}" if is_number(gain) else "–"
         out.append({
@@ -389,6 +387,10 @@ def _hypotheses(done):
             "probability": format_number(row["probability"], 2),
         })  # fmt: skip
     return out
+
+
+def _likeliest_first(done):
+    return sorted(done.hypotheses, key=lambda row: -_finite(row["probability"]))
 
 
 def _finite(value):

@@ -58,13 +58,7 @@ def discovery_text(found):
 
 
 def draw_plan(plan, means, path):
-    """Draw what the likeliest rivals foresee for the best experiments, beside the noise.
-
-    Parameters
-    ----------
-    path : path-like
-        Of the PNG.
-    """
+    """Draw what the likeliest rivals foresee for the best experiments, beside the noise, a PNG."""
     from matplotlib.figure import Figure
 
     from bsp_gp.planning.plan import foreseen

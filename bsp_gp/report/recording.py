@@ -12,22 +12,18 @@ from bsp_gp.inference.priors import prior_of
 from bsp_gp.loop.told import Told
 from bsp_gp.report.drawing import new_figure, panels_of, tidy
 from bsp_gp.report.numbers import format_number, with_unit
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.units import DIMENSIONLESS, KILOGRAM, METRE, SECOND
 
 MAX_PANELS = 6
 FAR = 2.0
 """Times how long a recording takes, from which on its times are far from 0."""
 _MAX_NAMES = 8
-_LENGTH, _TIME, _MASS = Unit.of(m=1), Unit.of(s=1), Unit.of(kg=1)
 
 
 def data_text(dataset):
-    """Say what was understood of a data set.
+    """Say what was understood of a data set, line by line.
 
-    Returns
-    -------
-    str
-        Columns, units, scenes, bodies, inputs, axes, noise and notes, a line each.
+    Columns, units, scenes, bodies, inputs, axes, noise and notes.
     """
     names = list(dict.fromkeys(name for scene in dataset.scenes for name in scene.names))
     n_rows = sum(len(scene.times) for scene in dataset.scenes)
@@ -46,13 +42,7 @@ def data_text(dataset):
 
 
 def columns_text(name, columns):
-    """Say how the headings of a table were read, where its data are refused.
-
-    Parameters
-    ----------
-    columns : list of dict
-        See `bsp_gp.data.glance.columns_of`.
-    """
+    """Say how the headings of a refused table were read, see `bsp_gp.data.glance.columns_of`."""
     known = [f"{c['ours']} = {c['theirs']!r}" for c in columns if c["ours"]]
     rest = [repr(c["theirs"]) for c in columns if not c["ours"]]
     lines = [f"{name}: columns as they are read: {', '.join(known) or 'none is known'}"]
@@ -72,7 +62,7 @@ def _units(dataset):
     kinds = [f"{words.get(kind, kind)} in {declared[kind]}" for kind in ("length", "time", "mass")
              if kind in declared]  # fmt: skip
     if kinds:
-        shown = [_told(dataset, unit)[1] for unit in (_LENGTH, _TIME)]
+        shown = [_told(dataset, unit)[1] for unit in (METRE, SECOND)]
         is_same = shown == [declared.get("length"), declared.get("time")]
         below = "" if is_same else f"; below, all are {', '.join(shown)}"
         return f"Units: {', '.join(kinds)}{below}"
@@ -87,7 +77,7 @@ def _told(dataset, unit):
 
 
 def _scenes(dataset):
-    out, (factor, unit) = [], _told(dataset, _TIME)
+    out, (factor, unit) = [], _told(dataset, SECOND)
     for scene in dataset.scenes[:_MAX_NAMES]:
         times = factor * scene.times
         steps = np.diff(times)
@@ -122,7 +112,7 @@ def _properties(dataset):
     if any(latent.name == "mass" for latent in dataset.latents):
         return ["Properties: none is known", *unknown]
     none = "Properties: none (no masses): constants are those per unit of mass"
-    if dataset.units.is_calibrated(_MASS):
+    if dataset.units.is_calibrated(KILOGRAM):
         none = "Properties: none (no masses): every body is taken as 1 kg"
     none += "; masses are given with --property mass=0.3[kg]"
     return [none, *unknown]
@@ -177,7 +167,7 @@ def _moves(dataset, axis):
 
 def _motion(dataset):
     """Where bodies are, and the noise, axis by axis."""
-    factor, length = _told(dataset, _LENGTH)
+    factor, length = _told(dataset, METRE)
     try:
         noise = estimate_noise(dataset)
     except DataError as error:

@@ -55,13 +55,7 @@ def _turned(way):
 
 
 def other_way(effect, why, dataset):
-    """What a force is as well where nothing turns back: friction, or a push; "" if it is neither.
-
-    Parameters
-    ----------
-    why : str
-        As `told_once` gives it.
-    """
+    """What a force is as well where nothing turns back: friction or a push; "" if neither."""
     sign = -1 if (dataset.get("way") or "").startswith("-") else 1
     way = (dataset.get("way") or "").lstrip("-")
     terms = _split(effect.written or "", " + ", " - ")
@@ -92,6 +86,8 @@ def rewritten(n_same, why):
 def dependence(law, others, tried, dataset):
     """Whether the data tell how a law depends on a property of which there are several values.
 
+    Sentences; "" where no law with another power of a property was tried.
+
     Parameters
     ----------
     law : str
@@ -102,11 +98,6 @@ def dependence(law, others, tried, dataset):
         All that was fitted beside it.
     dataset : mapping
         What a report says of its data: ``properties`` whose ``is_constant`` is false.
-
-    Returns
-    -------
-    str
-        Sentences; "" where no law with another power of a property was tried.
     """
     if not law or len(_split(law, " + ", " - ")) > 1:
         return ""

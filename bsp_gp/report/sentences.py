@@ -105,13 +105,7 @@ def verdict_sentence(report):
 
 
 def verdict_parts(report):
-    """The outcome of the whole run in one sentence, and what belongs to it.
-
-    Returns
-    -------
-    sentence, detail : str
-        The detail may be "".
-    """
+    """The outcome of the whole run in one sentence, and what belongs to it, which may be ""."""
     adopted = adopted_rounds(report)
     last = report.rounds[-1] if report.rounds else None
     if report.verdict == "effect adopted" and adopted:

@@ -38,17 +38,13 @@ _MAX_CHECKS = 3
 def summary_text(report: LoopReport, width: int = WIDTH) -> str:
     """Summarise a report in some twenty lines of whole sentences.
 
+    Verdict, error before and after, what to check, law, constants, rounds, ties, notes; no newline
+    at the end.
+
     Parameters
     ----------
-    report : LoopReport
     width : int
         Characters of a line, at most; sentences are wrapped and never cut.
-
-    Returns
-    -------
-    str
-        Verdict, error before and after, what to check, law, constants, rounds, ties, notes; no
-        newline at the end.
     """
     report = page_of(report)
     notes = [*caveats(report), *report.notes]
@@ -59,8 +55,8 @@ def summary_text(report: LoopReport, width: int = WIDTH) -> str:
         (ratio_caution(report), ""),
         (worse_bodies(report), ""),
     ]
-    for note in [note for note in notes if note.startswith(CHECK)][:_MAX_CHECKS]:
-        paragraphs.append((note.replace(CHECK, "Check: ", 1), "       "))
+    checks = [note for note in notes if note.startswith(CHECK)][:_MAX_CHECKS]
+    paragraphs += [(note.replace(CHECK, "Check: ", 1), "       ") for note in checks]
     is_of_sight = is_speed(report.dataset.get("symbols", {}).get("m", ""))
     law = report.law_text if is_of_sight else "F = " + report.law_text
     paragraphs += [("Law: " + law, "     "), *_constants(report)]

@@ -11,18 +11,7 @@ MOST_KINDS = 20
 
 
 def sweep_page(rows, declared):
-    """Write the page.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        Of `bsp_gp.sweep.COLUMNS`.
-
-    Returns
-    -------
-    str
-        A complete HTML document, every word escaped.
-    """
+    """Write the page, a complete HTML document, every word escaped."""
     environment = Environment(
         loader=PackageLoader("bsp_gp.report"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True,

@@ -64,17 +64,7 @@ def trace_section(round_):
 
 
 def trace_figure(round_):
-    """Draw the evidence of the channels, and the push of the best against its variable.
-
-    Parameters
-    ----------
-    round_ : SimpleNamespace
-        Of `page_of`.
-
-    Returns
-    -------
-    (caption, Figure) or None
-    """
+    """Draw evidence of channels, and the push of the best: (caption, Figure), or None."""
     trace = round_.trace
     if trace is None or not trace.channels or not is_number(trace.channels[0].evidence):
         return None

@@ -21,8 +21,10 @@ from bsp_gp.report.drawing import (
 from bsp_gp.units import is_speed
 
 MAX_PANELS = 9
-GIDS = ("before", "after")
-"""Of the lines of the models in a drawing, by which a page hides them."""
+_MODELS = (
+    ("declared model", BEFORE, (0, (4, 2)), "before"), ("adopted law", AFTER, "-", "after"),
+)  # fmt: skip
+"""Label, colour and style of the line of each model, and the name by which a page hides it."""
 _FLAT = 0.05  # an axis with less of the motion than this is not drawn
 _ALIKE = 0.03  # models closer than this part of the picture look the same
 _MAX_DOTS = 150
@@ -33,10 +35,7 @@ _LOG_FACTOR = 30.0
 def pick_overlays(overlays, max_panels=MAX_PANELS):
     """Choose the tracks to show without looking at how well they went: scene after scene.
 
-    Returns
-    -------
-    list of Overlay
-        Without those of which nothing was observed.
+    Those of which nothing was observed are left out.
     """
     scenes = {}
     for overlay in overlays:
@@ -128,9 +127,7 @@ def _title(overlay):
 def draw_tracks(figure, overlays, length_unit, time_unit, has_adopted):
     """Draw paths, or one coordinate against time where the motion is along one axis."""
     panels = panels_of(figure, len(overlays))
-    models = [("declared model", BEFORE, (0, (4, 2)))]
-    if has_adopted:
-        models.append(("adopted law", AFTER, "-"))
+    models = _MODELS[: 1 + has_adopted]
     for panel, overlay in zip(panels, overlays, strict=True):
         axes = drawn_axes(overlay)
         observed, declared, adopted = _arrays(overlay)
@@ -150,9 +147,7 @@ def draw_tracks(figure, overlays, length_unit, time_unit, has_adopted):
         panel.plot(x[::step], y[::step], "o", ms=2.8, mew=0.6, mec="#555555", mfc="white", zorder=1)
         panel.plot(x[start], y[start], "o", ms=3.0, mew=0, color="#222222", zorder=2)
         curves = []
-        for (_, color, style), values, gid in zip(
-            models, (declared, adopted), GIDS, strict=False
-        ):
+        for (_, color, style, gid), values in zip(models, (declared, adopted), strict=False):
             curves.append(coordinates(values))
             panel.plot(*curves[-1], color=color, ls=style, lw=1.3, zorder=3, gid=gid)
         _set_limits(panel, (x, y), curves, len(axes) == 2)
@@ -163,8 +158,14 @@ def draw_tracks(figure, overlays, length_unit, time_unit, has_adopted):
         panel.set_ylabel(axis_label(names[-1], unit))
         tidy(panel, 4)
     handles = [Line2D([], [], ls="", marker="o", ms=4, mew=0.8, mec="#555555", mfc="white")]
-    handles += [Line2D([], [], color=color, ls=style, lw=1.4) for _, color, style in models]
-    legend_above(figure, handles, ["observed", *(label for label, _, _ in models)])
+    lines, labels = _legend_of(models)
+    legend_above(figure, handles + lines, ["observed", *labels])
+
+
+def _legend_of(models):
+    """Lines and labels of models."""
+    lines = [Line2D([], [], color=color, ls=style, lw=1.4) for _, color, style, _ in models]
+    return lines, [label for label, *_ in models]
 
 
 def _set_limits(panel, observed, curves, is_path):
@@ -195,19 +196,17 @@ def _set_limits(panel, observed, curves, is_path):
 
 def draw_errors(figure, overlays, length_unit, time_unit, has_adopted):
     """Draw the distance between observation and rollouts against time."""
-    panels = panels_of(figure, len(overlays))
+    panels, models = panels_of(figure, len(overlays)), _MODELS[: 1 + has_adopted]
     for panel, overlay in zip(panels, overlays, strict=True):
         times = np.asarray(overlay.times, float)
-        errors = _errors(overlay)[: 2 if has_adopted else 1]
+        errors = _errors(overlay)[: len(models)]
         factor, unit = scaled(length_unit, *errors)
         t_factor, t_unit = time_scaled(time_unit, times)
         medians = [_median(e) for e in errors]
         is_log = has_adopted and max(medians) > _LOG_FACTOR * min(medians) > 0
         if is_log:
             panel.set_yscale("log")
-        for error, color, style, gid in zip(
-            errors, (BEFORE, AFTER), ((0, (4, 2)), "-"), GIDS, strict=False
-        ):
+        for error, (_, color, style, gid) in zip(errors, models, strict=True):
             shown = np.where(error > 0, error, np.nan) if is_log else error
             panel.plot(times * t_factor, shown * factor, color=color, ls=style, lw=1.2, gid=gid)
         if 0 < overlay.n_initial <= len(times):
@@ -227,10 +226,6 @@ def draw_errors(figure, overlays, length_unit, time_unit, has_adopted):
             log_ticks(panel.yaxis)
         else:
             panel.set_ylim(bottom=0)
-    handles = [Line2D([], [], color=BEFORE, ls=(0, (4, 2)), lw=1.4)]
-    labels = ["declared model"]
-    if has_adopted:
-        handles.append(Line2D([], [], color=AFTER, lw=1.4))
-        labels.append("adopted law")
-    handles.append(Patch(color="#E8E8E8"))
-    legend_above(figure, handles, [*labels, "rows that fixed the start"])
+    lines, labels = _legend_of(models)
+    start = Patch(color="#E8E8E8")
+    legend_above(figure, [*lines, start], [*labels, "rows that fixed the start"])

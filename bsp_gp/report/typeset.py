@@ -49,10 +49,7 @@ def split_terms(latex):
 def to_svg(latex):
     """Typeset an equation as a run of inline SVG drawings, one per term so that lines can break.
 
-    Returns
-    -------
-    str or None
-        None if mathtext cannot read the equation: show it as text then.
+    None if mathtext cannot read the equation: show it as text then.
     """
     if not latex.strip() or len(latex) > _MAX_LENGTH:
         return None

@@ -18,13 +18,7 @@ _MOVES = {
 
 
 def name_of(effect):
-    """Words for a hidden body that was fitted.
-
-    Parameters
-    ----------
-    effect : SimpleNamespace
-        Of `page_of`, told in the units of the data.
-    """
+    """Words for a hidden body that was fitted, told in the units of the data."""
     details = effect.details
     if not details:
         return companion_of(effect)

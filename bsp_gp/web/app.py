@@ -264,15 +264,12 @@ class _Pages:
 def _checked(dataset, law):
     """A law as the page shows it: its constants with units, or what is wrong."""
     from bsp_gp.fitting.hypothesis import read_law
-    from bsp_gp.physics.force import constant_units
 
     try:
         read = read_law(dataset, [law])
     except BspError as error:
         return {"error": str(error), "constants": []}
-    units = {}
-    for term in read.terms:
-        units |= constant_units(term)
+    units = read.constant_units
     told = [f"{n} [{dataset.units.text(units[n])}]" if n in units else n for n in read.names]
     return {"error": "", "constants": told}
 

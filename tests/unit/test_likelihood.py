@@ -5,14 +5,11 @@ from bsp_gp.data.scene import PROPERTY_UNITS, Entity, Scene
 from bsp_gp.errors import DataError, EvaluationError, SettingsError
 from bsp_gp.language.inputs import input_types
 from bsp_gp.language.parse import parse_formula
+from bsp_gp.physics.differences import difference_weights
 from bsp_gp.physics.force import ForceLaw, Term
-from bsp_gp.physics.likelihood import (
-    METHODS,
-    build_regression,
-    difference_weights,
-    stack_draws,
-)
+from bsp_gp.physics.likelihood import METHODS, build_regression
 from bsp_gp.physics.metrics import one_step_errors, one_step_nrmse, residual_acceleration
+from bsp_gp.physics.regression import stack_draws
 
 TYPES = input_types(PROPERTY_UNITS, up="y")
 LAW_TEXTS = ("m_i * m_j * (p_j - p_i) / norm(p_j - p_i)^3", "c1 * norm(v_i) * v_i", "m_i * t * e_x")

@@ -16,7 +16,8 @@ from bsp_gp.fitting.noise_model import NoiseModel
 from bsp_gp.fitting.noise_task import MAX_TIME
 from bsp_gp.fitting.restricted import Restricted
 from bsp_gp.fitting.student import log_likelihood
-from bsp_gp.physics.bodies import stack
+from bsp_gp.physics.engine.chains import build_chains
+from bsp_gp.physics.force import ForceLaw
 
 STEP = 0.1
 
@@ -292,7 +293,7 @@ def test_levels_do_not_fall_below_the_rounding_even_where_all_differences_are_ze
     dataset = Dataset("d", (orbit(grid=0.01),))
     model = NoiseModel.of(dataset)
     assert model.steps == pytest.approx((0.01, 0.01))
-    found = Channels.of(stack(dataset.scenes))
+    found = Channels.of(build_chains(ForceLaw(), dataset.scenes))
     nothing = estimate(model, found, np.zeros(found.times.shape))
     assert nothing.levels == pytest.approx((0.01 / math.sqrt(12),) * 2, rel=1e-9)
     assert adopted(nothing) == []
@@ -303,7 +304,7 @@ def test_levels_do_not_fall_below_the_rounding_even_where_all_differences_are_ze
 def test_exact_data_have_the_least_noise_that_numbers_have():
     dataset = Dataset("d", (orbit(),))
     model = NoiseModel.of(dataset)
-    found = Channels.of(stack(dataset.scenes))
+    found = Channels.of(build_chains(ForceLaw(), dataset.scenes))
     nothing = estimate(model, found, np.zeros(found.times.shape))
     span = np.ptp(dataset.scenes[0].positions[:, 0], axis=0)
     assert nothing.levels == pytest.approx(tuple(1e-12 * span))
@@ -317,7 +318,7 @@ def test_declared_and_quoted_sizes_stay(noise, memory):
     dataset = Dataset("d", (scene,), noise=noise, noise_memory=memory)
     model = NoiseModel.of(dataset)
     assert set(model.sources) == {"declared" if noise else "quoted"}
-    found = Channels.of(stack(dataset.scenes))
+    found = Channels.of(build_chains(ForceLaw(), dataset.scenes))
     span = np.ptp(scene.positions[:, 0], axis=0)
     truth = quoted[:, 0] if noise is None else np.maximum(noise, 1e-12 * span)
     errors = 20 * np.random.default_rng(11).standard_normal((60, 2))
@@ -331,7 +332,7 @@ def test_declared_and_quoted_sizes_stay(noise, memory):
     np.testing.assert_allclose(white + amplitude**2, after.sizes(found) ** 2, rtol=1e-12)
 
 
-def test_channels_of_batches_that_differ_in_length_and_gaps():
+def test_channels_of_chains_that_differ_in_length_and_gaps():
     short = replace(orbit(20), name="b")
     both = Scene(
         "c",
@@ -341,8 +342,8 @@ def test_channels_of_batches_that_differ_in_length_and_gaps():
     )
     gap = orbit().positions.copy()
     gap[5, 0, 1] = np.nan
-    batches = stack([replace(orbit(), positions=gap), short, both])
-    found = Channels.of(batches)
+    scenes = [replace(orbit(), positions=gap), short, both]
+    found = Channels.of(build_chains(ForceLaw(), scenes, coupled=True))
     assert found.times.shape == (60, 2 * 2 + 2 * 2)
     assert found.body_names == ("ball", "other") and found.scene_names == ("a", "b", "c")
     assert found.body.tolist() == [0, 0, 0, 0, 0, 0, 1, 1]

@@ -15,7 +15,8 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term
-from bsp_gp.physics.likelihood import build_regression, stack_draws
+from bsp_gp.physics.likelihood import build_regression
+from bsp_gp.physics.regression import stack_draws
 from bsp_gp.physics.weak_tracks import RANK_CUT, Run, Track, _whitener, combs
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.cross_entropy import CrossEntropy

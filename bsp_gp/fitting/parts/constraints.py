@@ -17,9 +17,8 @@ from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, added_units
-from bsp_gp.units import Unit
+from bsp_gp.units import METRE, SECOND, Unit
 
-LENGTH = Unit.of(m=1)
 MOST_ROWS, MOST_STARTS = 400, 36
 """Rows of a body that constants are first guessed from, and from how many values."""
 _POINT = re.compile(r"(?<![A-Za-z0-9_])\(([^()]*,[^()]*)\)")
@@ -39,14 +38,10 @@ class Constraint(Numbered):
 
     Attributes
     ----------
-    text : str
-        As typed.
     formula : Formula
         The quantity, of places p_i, p_j and the time.
     pairs : tuple of (str, str)
         The bodies that keep to it: i, a body that forces move, and j or "".
-    numbers : tuple of Parameter
-        Its constants.
     is_coupling : bool
         Whether it passes forces between bodies that forces move.
     """
@@ -105,23 +100,19 @@ def read_constraint(dataset, text, pairs=None, numbers=None):
 def freed_of(dataset, part, point, length):
     """Constraints with names in the place of numbers that were typed: fewest names first.
 
+    Each with its numbers where the rows keep to it best, and what was typed, by name, SI.
+
     Parameters
     ----------
-    part : Constraint
     point : sequence of str
         Names for the coordinates of its point, where it has one of numbers.
     length : str
         A name for its length, where that is a number.
-
-    Returns
-    -------
-    list of (Constraint, dict of str to float)
-        The constraint, its numbers where the rows keep to it best; and what was typed, SI.
     """
     points = _POINT.findall(part.text)
     known = [p.strip() for found in points for p in found.split(",")]
     right = part.text.split("=")[1].strip()
-    metres = Conversion(dict(dataset.units.declared), dict(dataset.units.declared)).length("x")
+    metres = metres_of(dataset, "x")
     ways = [{}]
     if _is_number(right) and float(right):
         ways.append({length: right})
@@ -150,11 +141,6 @@ def read_string(dataset, text):
 
     It is stiff for the rows, and critically damped: what a bob has of speed along it is lost where
     it becomes taut.
-
-    Parameters
-    ----------
-    text : str
-        As of `read_constraint`.
 
     Returns
     -------
@@ -196,7 +182,7 @@ def read_string(dataset, text):
         other = Input("m_j", types["m_j"])
         mass = Call("div", Call("mul", mass, other), Call("add", mass, other))
     along = Call("normalize", way.args[0])
-    lag = Number(2.0 / rate, Unit.of(s=1), f"{2.0 / rate:.6g} [s]")
+    lag = Number(2.0 / rate, SECOND, f"{2.0 / rate:.6g} [s]")
     pull = Call("add", formula, Call("mul", lag, Call("dot", speed, along)))
     taut = Call("add", Number(1.0), Call("sign", formula))
     stiffness = Number(-(rate**2) / 2, Unit.of(s=-2), f"{-(rate**2) / 2:.6g} [1/s^2]")
@@ -262,13 +248,12 @@ def _difference(dataset, text, sides):
     if any(len(scene.entities) > 1 for scene in dataset.scenes):
         types |= {"p_j": STATE_INPUTS["p_j"]}
     types |= {"origin": STATE_INPUTS["origin"]}
-    declared = dict(dataset.units.declared)
-    metres = Conversion(declared, declared).length("x")
+    metres = metres_of(dataset, "x")
 
     def length(digits):
         name = f"literal{len(literals)}"
         value = float(digits) * metres
-        literals[Constant(name)] = Number(value, LENGTH, f"{value:.6g} [m]")
+        literals[Constant(name)] = Number(value, METRE, f"{value:.6g} [m]")
         return name
 
     def point(match):
@@ -314,6 +299,12 @@ def _difference(dataset, text, sides):
             "a column of entities.csv, and write its name with _i"
         )
     return formula, axes
+
+
+def metres_of(dataset, axis):
+    """The unit in which coordinates along an axis were given, m."""
+    declared = dict(dataset.units.declared)
+    return Conversion(declared, declared).length(axis)
 
 
 def _is_number(text):
@@ -364,7 +355,7 @@ def _kept_best(dataset, formula, pairs, axes, is_least=False):
     names = formula.constants
     if not names:
         return {}
-    rows = [_inputs(dataset, formula, scene, pair) for scene in dataset.scenes for pair in pairs]
+    rows = [_inputs(formula, scene, pair) for scene in dataset.scenes for pair in pairs]
     rows = [row for row in rows if row is not None]
     middle, size = extent_of(dataset)
 
@@ -393,7 +384,7 @@ def _parameters(dataset, formula, axes, values):
     units = added_units(formula)
     return tuple(
         Parameter(
-            name, "", LENGTH if name in axes else units.get(name), start=float(values[name]),
+            name, "", METRE if name in axes else units.get(name), start=float(values[name]),
             prior=(float(middle[axes[name]]) if name in axes else size, size),
         )
         for name in formula.constants
@@ -403,14 +394,14 @@ def _parameters(dataset, formula, axes, values):
 def left_by(dataset, part):
     """What the rows leave of a constraint at its numbers, m, one array for each scene and pair."""
     known = {p.name: p.start for p in part.numbers}
-    rows = [_inputs(dataset, part.formula, s, pair) for s in dataset.scenes for pair in part.pairs]
+    rows = [_inputs(part.formula, s, pair) for s in dataset.scenes for pair in part.pairs]
     return [
         np.broadcast_to(evaluate(part.formula, row, known), row["t"].shape)
         for row in rows if row is not None
     ]  # fmt: skip
 
 
-def _inputs(dataset, formula, scene, pair):
+def _inputs(formula, scene, pair):
     """Inputs of the rows of a pair of bodies; None where the scene does not have it."""
     if any(name and name not in scene.names for name in pair):
         return None

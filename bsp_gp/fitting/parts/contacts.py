@@ -8,9 +8,7 @@ from bsp_gp.language.impulse import impulse
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import ForceLaw, Term
-from bsp_gp.units import Unit
-
-SECOND, KILOGRAM = Unit.of(s=1), Unit.of(kg=1)
+from bsp_gp.units import KILOGRAM, SECOND
 
 
 @dataclass(frozen=True)
@@ -24,8 +22,6 @@ class Kick(Forces):
     ----------
     mark : str
         Property that is 1 of this body in this scene, and that no other has.
-    instant : str
-        Name of the instant.
     span : tuple of float, s
         Within which it lies.
     """
@@ -42,8 +38,6 @@ class Kick(Forces):
 
         Parameters
         ----------
-        scene, entity, mark, instant, span
-            As of the class.
         gains : mapping of str to str
             Axis -> name of the component of the velocity that is gained.
         values : mapping of str to float

@@ -4,16 +4,12 @@ Two bodies that almost meet part in a direction that hangs on less than the erro
 path under the true law leads through, or a thousand do. What came before tells the law as ever.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bsp_gp.fitting.jumps import scatter
 from bsp_gp.fitting.parts.defects import Edit
-
-__all__ = ["CutShort"]
 
 LEAST_ROWS, LEAST_SEEN = 2, 8
 """Rows that are left of a track (they tell its state, and nothing of a law), and those of which a
@@ -24,13 +20,7 @@ WIDTHS, SURE = (2, 4, 8, 16), 8.0
 
 @dataclass(frozen=True)
 class CutShort(Edit):
-    """Bodies that are followed in rows before one alone; beyond, they lead others as they did.
-
-    Attributes
-    ----------
-    bodies : tuple of str
-        Of one chain.
-    """
+    """Bodies of a chain that are followed in rows before one alone; beyond, they lead as before."""
 
     bodies: tuple = field(default=())
 
@@ -38,16 +28,7 @@ class CutShort(Edit):
     def at_turn(cls, chains, chain, scene):
         """The bodies of a chain cut where they turn most sharply.
 
-        Parameters
-        ----------
-        chains : Chains
-        chain : int
-        scene : Scene
-            Of the chain, in whose extent what is left out may lie anywhere.
-
-        Returns
-        -------
-        CutShort
+        What is left out may lie anywhere in the extent of their scene.
         """
         n = int(chains.lengths[chain])
         times, places = chains.times[:n, chain], chains.observed[:n, chain]
@@ -66,16 +47,7 @@ class CutShort(Edit):
         return dataset
 
     def followed(self, groups):
-        """Chains of which the bodies' own is cut.
-
-        Parameters
-        ----------
-        groups : tuple of Chains
-
-        Returns
-        -------
-        tuple of Chains
-        """
+        """Chains of which the bodies' own is cut."""
         return tuple(map(self._cut, groups))
 
     def _cut(self, chains):

@@ -4,6 +4,7 @@ It is at rest, moves straight on, or is a body that the law moves like the other
 """
 
 from dataclasses import dataclass, field, replace
+from functools import partial, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +16,8 @@ from bsp_gp.language.formula import Call, Constant, Input, Number, substitute, w
 from bsp_gp.language.inputs import STATE_INPUTS, property_of
 from bsp_gp.language.operators import Type
 from bsp_gp.physics.force import Term
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.units import DIMENSIONLESS, SECOND
 
-SECOND = Unit.of(s=1)
 HELD = 4.0
 """Width of the normal that holds a place or a speed, in the scale of its prior."""
 P_I, P_J, V_I, V_J, ORIGIN = (
@@ -57,8 +57,6 @@ class HiddenSource(Forces):
     middle : tuple of float, metres
     size, speed : float
         Extent of the data and typical speed: what is far, and fast.
-    strength : str
-        Name of its strength.
     between : tuple of Term
         Forces between visible bodies by which it acts.
     epoch : float, s
@@ -154,7 +152,7 @@ def unit_pull(term, strength):
         several properties of a source.
     """
     inputs = {node for node in walk(term.formula) if isinstance(node, Input)}
-    of_source = {node for node in inputs if _role(node.name) == "j"}
+    of_source = {node for node in inputs if (property_of(node.name) or ())[1:] == ("j",)}
     if any(node.name in ("s_i", "s_j", "p_c") for node in inputs) or len(of_source) > 1:
         return None
     if any(node.type.shape != "scalar" for node in of_source):
@@ -176,13 +174,7 @@ def beside_origin(pull):
 
 
 def about_origin(formula):
-    """What a pair formula does to a body at rest at the origin.
-
-    Returns
-    -------
-    by_source, by_receiver : Formula
-        What the other body does there, and what the receiver itself does.
-    """
+    """What the other body, and what the receiver itself, does to one at rest at the origin."""
     there = {P_I: ORIGIN, V_I: _still()}
     swapped = {P_J: P_I, V_J: V_I}
     for node in walk(formula):
@@ -193,22 +185,14 @@ def about_origin(formula):
 
 
 def pull_of(term, strength, places, speeds=(), epoch=0.0, is_relative=False):
-    """A pair term as it acts from one unseen source; None if it cannot.
+    """A pair term as it acts from one unseen source, a field term; None if it cannot.
 
     Parameters
     ----------
-    term, strength
-        As of `unit_pull`.
     places, speeds : sequence of str
         Names of the coordinates at `epoch`, and of the components of the velocity.
-    epoch : float, s
     is_relative : bool
         Whether places are those from a body that is pulled too, see `beside_origin`.
-
-    Returns
-    -------
-    Term or None
-        A field term.
     """
     found = unit_pull(term, strength)
     if found is None:
@@ -222,13 +206,10 @@ def pull_of(term, strength, places, speeds=(), epoch=0.0, is_relative=False):
 
 
 def body_pulls(term, strength, is_declared=True, is_relative=False):
-    """What an unseen body of this strength brings beyond the term, tuple of Term.
+    """What an unseen body of this strength brings beyond a pair term, tuple of Term.
 
     Parameters
     ----------
-    term : Term
-        A pair term.
-    strength : str
     is_declared : bool
         Whether bodies pull each other by the term, the unseen one as if it were like the others.
     is_relative : bool
@@ -255,21 +236,13 @@ def body_pulls(term, strength, is_declared=True, is_relative=False):
     return Term(pair, "pair"), Term(Call("mul", feels, own), "field")
 
 
-def _role(name):
-    known = property_of(name)
-    return known[1] if known else ""
-
-
 def _vector(names):
     """The vector with these constants as coordinates."""
-    parts = [
+    parts = (
         Call("mul", Constant(name), Input(f"e_{axis}", Type("vector")))
         for name, axis in zip(names, "xyz", strict=False)
-    ]
-    total = parts[0]
-    for part in parts[1:]:
-        total = Call("add", total, part)
-    return total
+    )
+    return reduce(partial(Call, "add"), parts)
 
 
 def _still():

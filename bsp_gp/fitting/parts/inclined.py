@@ -1,11 +1,11 @@
 """A plane of motion that is inclined to the picture: what is seen of it is foreshortened."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.fitting.hypothesis import Parameter, Part
+from bsp_gp.fitting.hypothesis import Parameter, Valued
 from bsp_gp.units import DIMENSIONLESS
 
 STEEPEST = 1.56
@@ -13,7 +13,7 @@ STEEPEST = 1.56
 
 
 @dataclass(frozen=True)
-class Inclined(Part):
+class Inclined(Valued):
     """Places in a plane through the origin, seen from afar at an angle.
 
     ``X = x + (1 / cos i - 1) n (n . x)`` undoes it, where n is across the line of nodes. The plane
@@ -32,7 +32,6 @@ class Inclined(Part):
 
     @property
     def own(self):
-        """Where a fit begins, by name."""
         return dict(zip(self.names, self.values, strict=True))
 
     @property
@@ -43,10 +42,6 @@ class Inclined(Part):
             Parameter(name, "", DIMENSIONLESS, low, high, float(value))
             for name, (low, high), value in zip(self.names, bounds, self.values, strict=True)
         )
-
-    def at(self, values):
-        """The part at other values, mapping of name to number."""
-        return replace(self, values=tuple(float(values[name]) for name in self.names))
 
     def undo(self, g, place, time, is_driven):
         """Place in its plane, and the time, nodes of a graph."""
@@ -63,7 +58,6 @@ class Inclined(Part):
         return np.eye(2) + (1 / math.cos(inclination) - 1) * np.outer(across, across)
 
     def describe(self):
-        """Formula-like."""
         return "x = X cos(inclination) across the line of nodes"
 
 

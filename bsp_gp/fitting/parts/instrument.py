@@ -8,17 +8,16 @@ Numbers are 0 where the measurement is as declared.
 from dataclasses import dataclass, replace
 from functools import reduce
 
-from bsp_gp.fitting.hypothesis import Parameter, Part
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.fitting.hypothesis import Parameter, Valued
+from bsp_gp.units import DIMENSIONLESS, METRE, SECOND
 
-LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 LARGE = 0.3
 """A relative error or an angle beyond which nobody would believe a measurement."""
 ASIDE = 1.0
 """Half widths of the picture by which the middle of a lens may be off its own."""
 UNITS = {
-    "drift": LENGTH / TIME, "offset": LENGTH, "delay": TIME, "exposure": TIME**2,
-    "shutter": TIME / LENGTH, "zero": LENGTH, "zoom": DIMENSIONLESS / TIME,
+    "drift": METRE / SECOND, "offset": METRE, "delay": SECOND, "exposure": SECOND**2,
+    "shutter": SECOND / METRE, "zero": METRE, "zoom": DIMENSIONLESS / SECOND,
 }  # fmt: skip
 TEXTS = {
     "scale": "x = (1 + {}) X", "clock": "t = (1 + {}) T", "tilt": "x = R({}) X",
@@ -35,7 +34,7 @@ TEXTS = {
 
 
 @dataclass(frozen=True)
-class Instrument(Part):
+class Instrument(Valued):
     """One way in which a measurement may be wrong.
 
     Attributes
@@ -87,7 +86,6 @@ class Instrument(Part):
 
     @property
     def parameters(self):
-        """One per name."""
         unit, values = UNITS.get(self.code, DIMENSIONLESS), self.values or (0.0,) * len(self.names)
         ends = [(self.lowest, self.limit)] * len(self.names)
         if self.code == "decentred":
@@ -113,10 +111,6 @@ class Instrument(Part):
             rest = [max(-ASIDE, min(-number / bend, ASIDE)) if bend else 0.0 for number in rest]
         return replace(self, values=(bend, *rest))
 
-    def at(self, values):
-        """The part at other values, mapping of name to number."""
-        return replace(self, values=tuple(float(values[name]) for name in self.names))
-
     def undo(self, g, place, time, is_driven):
         """True place and time, nodes of a graph; `is_driven` where forces do not move a body."""
         numbers = [g.constant(name) for name in self.names]
@@ -134,7 +128,6 @@ class Instrument(Part):
         return reduce(g.add, here)
 
     def describe(self):
-        """Formula-like."""
         each = " in each scene" if len(self.whose) > 1 else ""
         shown = self.names[: max(len(self.axes), 1)] if each else self.names
         return TEXTS[self.code].format(", ".join(shown)) + each

@@ -3,9 +3,7 @@
 from dataclasses import dataclass, replace
 
 from bsp_gp.fitting.hypothesis import Parameter, Part
-from bsp_gp.units import Unit
-
-SECOND = Unit.of(s=1)
+from bsp_gp.units import SECOND
 
 
 @dataclass(frozen=True)
@@ -14,7 +12,6 @@ class Late(Part):
 
     Attributes
     ----------
-    inputs : tuple of str
     limit : float, s
         The largest delay that is believed; a negative one is that of the tracks.
     value : float, s
@@ -28,12 +25,10 @@ class Late(Part):
 
     @property
     def names(self):
-        """Of its number."""
         return ("_".join(("delay", *self.inputs)),)
 
     @property
     def parameters(self):
-        """The delay."""
         return (Parameter(*self.names, "", SECOND, -self.limit, self.limit, self.value),)
 
     def at(self, values):
@@ -41,6 +36,5 @@ class Late(Part):
         return replace(self, value=float(values[self.names[0]]))
 
     def describe(self):
-        """Formula-like."""
         (name,) = self.names
         return ", ".join(f"{each} acts as logged at t - {name}" for each in self.inputs)

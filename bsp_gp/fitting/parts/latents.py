@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from bsp_gp.fitting.hypothesis import Parameter, Part
+from bsp_gp.fitting.hypothesis import Parameter, Valued
 from bsp_gp.physics.force import key_of
 
 
@@ -16,12 +16,11 @@ class About:
 
     @property
     def pull(self):
-        """Mean and standard deviation."""
         return self.mean, self.spread
 
 
 @dataclass(frozen=True)
-class Properties(Part):
+class Properties(Valued):
     """Unknown properties.
 
     Attributes
@@ -54,7 +53,6 @@ class Properties(Part):
 
     @property
     def columns(self):
-        """Of the properties."""
         return self.latents.columns
 
     @property
@@ -64,12 +62,10 @@ class Properties(Part):
 
     @property
     def starts(self):
-        """Where a fit begins."""
         return self.values or tuple(float(item.prior.ppf(0.5)) for item in self.latents.items)
 
     @property
     def parameters(self):
-        """One per number."""
         units, out = dict(self.units), []
         for item, start in zip(self.latents.items, self.starts, strict=True):
             prior, ends = item.prior, (float(item.prior.low), float(item.prior.high))
@@ -77,10 +73,6 @@ class Properties(Part):
                 prior = About(start, Parameter("", prior=prior).width(start))
             out.append(Parameter(item.name, "", units[item.column], *ends, start, prior))
         return tuple(out)
-
-    def at(self, values):
-        """The part at other values, mapping of name to number."""
-        return replace(self, values=tuple(float(values[name]) for name in self.names))
 
     def off_bounds(self):
         """The part with what stands at a bound back at the middle of its prior.
@@ -98,7 +90,6 @@ class Properties(Part):
         return self.latents.filled(scenes, self.starts)
 
     def seen(self, dataset):
-        """The same of a data set."""
         return replace(dataset, scenes=self.filled(dataset.scenes))
 
     def describe(self):
@@ -106,13 +97,7 @@ class Properties(Part):
 
 
 def unknown_properties(dataset, latents, scenes):
-    """The unknowns of bodies that some scenes of a data set show, for all its scenes.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        For units.
-    """
+    """The unknowns of bodies that some scenes of a data set show, for all its scenes."""
     mine = set(latents.of_scenes([scene.name for scene in scenes])[1].tolist())
     shown = tuple(item for k, item in enumerate(latents.items) if k in mine)
     others = tuple(item for k, item in enumerate(latents.items) if k not in mine)

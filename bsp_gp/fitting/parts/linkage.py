@@ -8,7 +8,7 @@ from scipy.signal import savgol_filter
 
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Numbered, Parameter
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.units import DIMENSIONLESS, KILOGRAM
 
 _TEXT = re.compile(r"linked\(\s*([^\s(),]+)\s*,\s*([^\s(),]+)\s*\)")
 WINDOW, DEGREE = 9, 4
@@ -23,13 +23,9 @@ class Linkage(Numbered):
 
     Attributes
     ----------
-    text : str
-        As typed.
-    pair : tuple of (str, str)
     couplings : tuple of (str, str)
         Of the constants by which each feels the other: C over its moment of inertia where that is
         not known, else C, which both share.
-    numbers : tuple of Parameter
     """
 
     text: str
@@ -75,7 +71,7 @@ def read_linkage(dataset, text):
         masses = [next(s.entities[s.names.index(n)].mass for s in dataset.scenes if n in s.names)
                   for n in named]  # fmt: skip
         start = float(np.mean(np.multiply(first, masses)))
-        name, unit = "_".join(("coupling", *named)), Unit.of(kg=1)
+        name, unit = "_".join(("coupling", *named)), KILOGRAM
         return Linkage(
             text.strip(), named, (name, name),
             (Parameter(name, "", unit, start=start, prior=(0.0, float(np.mean(masses)))),),

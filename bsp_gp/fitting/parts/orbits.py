@@ -25,7 +25,6 @@ class AnyAngle:
     spread = 2 * math.pi / math.sqrt(12)
 
     def log_prob(self, x):
-        """Log density."""
         return np.full(np.shape(x), -math.log(2 * math.pi))
 
 
@@ -52,7 +51,6 @@ class Orbit(Numbered):
 
     @property
     def is_circle(self):
-        """Whether it has no eccentricity."""
         return len(self.numbers) == 3
 
     @property
@@ -65,19 +63,13 @@ class Orbit(Numbered):
         return place, time
 
     def added(self, times, values):
-        """Velocities at times of any shape, and their changes by each number, (k, ...).
-
-        Parameters
-        ----------
-        values : mapping of str to float
-        """
+        """Velocities at times of any shape, and their changes by each number, (k, ...)."""
         numbers = [values[name] for name in self.names]
         return _circle(times, self.epoch, *numbers) if self.is_circle else _ellipse(
             times, self.epoch, *numbers
         )
 
     def describe(self):
-        """Formula-like."""
         period, size, *_ = self.names
         shape = "cos" if self.is_circle else "Kepler"
         return f"{size} {shape}(2 pi t / {period}) of a companion"
@@ -102,7 +94,6 @@ class Trend(Numbered):
     numbers : tuple of Parameter
         The acceleration at the epoch; where it changes as well, also by how much.
     epoch : float, s
-    axis : int
     """
 
     numbers: tuple
@@ -112,22 +103,18 @@ class Trend(Numbered):
     kind = "instrument"
 
     def undo(self, g, place, time, is_driven):
-        """As that of an orbit."""
         return place, time
 
     def added(self, times, values):
-        """As that of an orbit."""
         powers = np.stack([(times - self.epoch) ** k / k for k in range(1, len(self.names) + 1)])
         return np.tensordot([values[name] for name in self.names], powers, 1), powers
 
     def describe(self):
-        """Formula-like."""
         powers = zip(self.names, ("t", "t^2 / 2"), strict=False)
         return " + ".join(f"{name} {power}" for name, power in powers)
 
     @property
     def latex(self):
-        """Its velocity as LaTeX."""
         return " + ".join((r"a\, t", r"\dot{a}\, t^2 / 2")[: len(self.names)])
 
 

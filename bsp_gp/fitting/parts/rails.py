@@ -9,12 +9,7 @@ from bsp_gp.fitting.hypothesis import Numbered
 
 @dataclass(frozen=True)
 class Rail(Numbered):
-    """Places along some axes stay what they are.
-
-    Attributes
-    ----------
-    axes : tuple of int
-    """
+    """Places along some axes stay what they are."""
 
     axes: tuple
     numbers: tuple = ()

@@ -7,13 +7,7 @@ from bsp_gp.fitting.hypothesis import Forces
 
 @dataclass(frozen=True)
 class RangedForces(Forces):
-    """Forces some of whose constants have bounds and priors.
-
-    Attributes
-    ----------
-    ranges : tuple of Parameter
-        Bounds and priors by name; of the other constants nothing is known.
-    """
+    """Forces some of whose constants have bounds and priors, `ranges`, by name."""
 
     ranges: tuple = ()
 

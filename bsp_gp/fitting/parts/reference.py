@@ -23,18 +23,14 @@ def pulls_on_origin(term):
     """What a pair term does to a body at the origin, as those who count from it see it.
 
     The indirect term of celestial mechanics: a body there is accelerated by ``F / m``, and all that
-    is seen from it by as much the other way.
+    is seen from it by as much the other way. One term is by all others, one by the receiver
+    itself; there is none where the given one is not of that kind.
 
     Parameters
     ----------
     term : Term
         A pair term that is as heavy as its receiver (gravity): of no other is it known how the
         body at the origin is accelerated.
-
-    Returns
-    -------
-    tuple of Term
-        By all others, and by the receiver itself; empty where the term is not of that kind.
     """
     if term.kind != "pair" or not _is_as_heavy(term.formula):
         return ()

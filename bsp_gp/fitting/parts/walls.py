@@ -5,16 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bsp_gp.data.conversion import Conversion
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Numbered, Parameter
+from bsp_gp.fitting.parts.constraints import extent_of, metres_of
 from bsp_gp.language.formula import Number
 from bsp_gp.language.parse import parse_formula
-from bsp_gp.units import DIMENSIONLESS, Unit
+from bsp_gp.units import DIMENSIONLESS, METRE
 
 _CALL = re.compile(r"\s*bounce\s*\((.*)\)\s*", re.DOTALL)
 _SIDE = re.compile(r"\s*([xyz])_i\s*([<>])\s*([^\s<>,\[\]]+(?:\s*\[[^\[\]]*\])?)\s*")
-LENGTH = Unit.of(m=1)
 TILTED = 0.05
 """Radians by which a wall is likely to stand askew of an axis."""
 MOST_TILT = 0.5
@@ -58,7 +57,6 @@ class Wall(Numbered):
         return values[2] if len(self.numbers) > 2 else 1.0
 
     def describe(self):
-        """As it is typed."""
         return (
             f"bounce({'xyz'[self.axis]}_i {'>' if self.side > 0 else '<'} {', '.join(self.names)})"
         )
@@ -78,23 +76,19 @@ def count_of(dataset):
 
 
 def wall_of(names, axis, side, n_dims, values, extent):
-    """A wall with numbers that begin at values, SI.
+    """A wall with numbers that begin at values, SI, of tracks of an extent in m.
 
     Parameters
     ----------
     names : sequence of str
         As many as `count_of` says.
-    axis, side, n_dims
-        As of `Wall`.
     values : sequence of float
         The coordinate, and so on; missing ones are usual.
-    extent : float, m
-        Of the tracks.
     """
     usual = (0.0, START, 1.0, 0.0)
     values = [*values, *usual[len(values) :]]
     numbers = (
-        Parameter(names[0], "", LENGTH, start=values[0], prior=(values[0], extent)),
+        Parameter(names[0], "", METRE, start=values[0], prior=(values[0], extent)),
         Parameter(names[1], "", DIMENSIONLESS, 0.0, HIGHEST, values[1], (START, 0.5)),
         *(
             Parameter(name, "", DIMENSIONLESS, low, high, start, prior)
@@ -109,16 +103,15 @@ def wall_of(names, axis, side, n_dims, values, extent):
 
 def _place(dataset, text, number, axis):
     """Where a wall is said to be, m."""
-    declared = dict(dataset.units.declared)
     try:
-        return float(number) * Conversion(declared, declared).length(axis)
+        return float(number) * metres_of(dataset, axis)
     except ValueError:
         pass
     try:
         place, why = parse_formula(number, {}, units=dataset.units), ""
     except LawError as error:
         place, why = None, f"; {error}"
-    if not isinstance(place, Number) or place.type.unit != LENGTH:
+    if not isinstance(place, Number) or place.type.unit != METRE:
         raise LawError(
             f"{text!r}: the place {number!r} is neither a name nor a length, as in "
             f"{axis}_i > 0.12 [m]{why}"
@@ -145,8 +138,6 @@ def read_wall(dataset, text):
     ------
     LawError
     """
-    from bsp_gp.fitting.parts.constraints import extent_of
-
     n_dims = dataset.n_dims
     parts = match[1].split(",") if (match := _CALL.fullmatch(text)) else [""]
     side, more = _SIDE.fullmatch(parts[0]), [part.strip() for part in parts[1:]]

@@ -47,7 +47,6 @@ class Chains:
     properties : dict of str to ndarray
         Column -> (R + D, S) or (R + D, S, d); moving bodies first.
     code, radius, width, height : ndarray, shape (R + D, S)
-    up : str or None
     direction : callable
         ``direction(name)`` gives the unit vector of a lab axis.
     series : Series
@@ -88,6 +87,12 @@ class Chains:
     def n_dims(self):
         return self.observed.shape[3]
 
+    def members(self):
+        """Scene and name of every body that forces move, its chain, and its number there."""
+        for s, (scene, bodies) in enumerate(zip(self.scenes, self.bodies, strict=True)):
+            for r, body in enumerate(bodies):
+                yield scene, body, s, r
+
     @property
     def lengths(self):
         """Rows of each chain, shape (S,)."""
@@ -100,13 +105,7 @@ class Chains:
         return np.full((self.code.shape[0], self.n_chains), np.nan)
 
     def pieces(self, chain, first, stop):
-        """Pieces of chains as chains of their own.
-
-        Parameters
-        ----------
-        chain, first, stop : ndarray of int, shape (W,)
-            Rows ``first:stop`` of a chain.
-        """
+        """Pieces of chains, rows ``first:stop`` of each `chain` (W,), as chains of their own."""
         whole = replace(
             self,
             scenes=tuple(self.scenes[k] for k in chain),
@@ -127,12 +126,7 @@ class Chains:
         return whole._cut(chain, first, stop, (*tracks, *driven))
 
     def cut(self, first, stop):
-        """The same chains, each cut to its rows ``first:stop``.
-
-        Parameters
-        ----------
-        first, stop : ndarray of int, shape (S,)
-        """
+        """The same chains, each cut to its rows ``first:stop``, (S,)."""
         chain = np.arange(self.n_chains)
         return self._cut(chain, first, stop, ("times", "observed", "sigma", "velocities"))
 
@@ -153,13 +147,7 @@ class Chains:
         return replace(self, begun=begun, **{name: taken(getattr(self, name)) for name in names})
 
     def contact_sizes(self, others):
-        """What margins of contacts are measured with, arrays (R, J, S).
-
-        Parameters
-        ----------
-        others : ndarray of int, shape (R, J)
-            Sources of every receiver.
-        """
+        """What margins of contacts with sources (R, J) are measured with, arrays (R, J, S)."""
         own = slice(None, self.n_moving)
         radius = np.nan_to_num(self.radius)
         reach = radius[own, None] + radius[others]
@@ -186,11 +174,10 @@ def is_coupled(law, batch):
 
 
 def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None, may_lead=False):
-    """Stack scenes into chains for a law.
+    """Stack scenes into chains for a law, one Chains for every build of scenes.
 
     Parameters
     ----------
-    up : str or None
     velocity : str
         "measured" keeps the scenes' velocities.
     coupled : bool, optional
@@ -198,11 +185,6 @@ def build_chains(law, scenes, up=None, velocity="ignore", *, coupled=None, may_l
         between them.
     may_lead : bool
         Whether each of more than `MOST_TOGETHER` bodies may be led by where the others were seen.
-
-    Returns
-    -------
-    list of Chains
-        One for every build of scenes.
     """
     out = []
     for batch in stack(scenes, up, velocity):
@@ -263,6 +245,14 @@ def _chains(batch, coupled, led, rails=()):
         begun=begun,
         begun_errors=begun_errors,
     )
+
+
+def spread(values):
+    """Largest less smallest along the first axis; 0 where there is none."""
+    seen = np.isfinite(values)
+    high = np.where(seen, values, -np.inf).max(axis=0)
+    low = np.where(seen, values, np.inf).min(axis=0)
+    return np.where(seen.any(axis=0), high - low, 0.0)
 
 
 def _begun(scenes, owners, rails=()):

@@ -3,6 +3,8 @@
 A motion is packed unless an operator of a user's acts in it, which only NumPy can call.
 """
 
+from copy import copy
+
 import numpy as np
 
 from bsp_gp.physics.engine import kernel
@@ -43,8 +45,7 @@ class Compiled:
 
     def on(self, motion):
         """The same formulas on other chains."""
-        other = object.__new__(Compiled)
-        other.__dict__.update(self.__dict__)
+        other = copy(self)
         other.motion, other._codes = motion, [None, None]
         return other
 
@@ -66,7 +67,6 @@ class Compiled:
         return plans, base
 
     def _load(self, number, name, axis):
-        """Kind and number of an input."""
         if name == "t":
             return kernel.TIME, 0
         if name == "mode":

@@ -78,7 +78,6 @@ class Held:
         return getattr(self.graph, name)
 
     def input(self, name, axis=None):
-        """As that of the graph."""
         return self.velocity[axis] if name == "v_i" else self.graph.input(name, axis)
 
     def acceleration(self, free):
@@ -161,12 +160,7 @@ class _Link:
 
 
 class Constraints:
-    """The constraints of a law on some chains.
-
-    Parameters
-    ----------
-    parameters : sequence of (name, entity)
-    """
+    """The constraints of a law on some chains."""
 
     def __init__(self, law, chains, parameters, owners):
         self.chains, self.owners = chains, owners
@@ -378,12 +372,7 @@ class Constraints:
         return state
 
     def tangent(self, points):
-        """Derivatives of `held` at states on the constraints by states and constants.
-
-        Returns
-        -------
-        ndarray, shape (M, 2n, 2n + k)
-        """
+        """Derivatives of `held` where states are held by these and constants, (M, 2n, 2n + k)."""
         return np.moveaxis(self.tangent_rows(points), -1, 0)
 
     def tangent_rows(self, points, is_there=False):
@@ -392,8 +381,7 @@ class Constraints:
         rest = np.zeros(points.state.shape[1:])
         _, jacobian = self._rows(points, rest)
         of_values, _ = self._slopes(points, rest)
-        out = np.zeros((2 * n, 2 * n + self.k, m))
-        out[np.arange(2 * n), np.arange(2 * n)] = 1.0
+        out = np.tile(np.eye(2 * n, 2 * n + self.k)[..., None], m)
         if not is_there:
             out[:n] -= self._solved(jacobian, of_values[0], points.chain)[0]
         by_place = of_values[1][:, :n]

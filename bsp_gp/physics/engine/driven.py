@@ -89,25 +89,31 @@ class Driven:
 def _shared(known, chains, s, k, seen):
     """The curve of one body, made once for all chains of its scene."""
     rows = np.flatnonzero(seen[:, s, k])
-    places = np.ascontiguousarray(chains.driven[rows, s, k])
+    times, places = chains.driven_times[rows, s], np.ascontiguousarray(chains.driven[rows, s, k])
     given = chains.driven_velocities
-    given = b"" if given is None else given[rows, s, k].tobytes()
-    key = chains.driven_times[rows, s].tobytes(), places.tobytes(), given
+    given = None if given is None else given[rows, s, k]
+    key = times.tobytes(), places.tobytes(), b"" if given is None else given.tobytes()
     if key not in known:
-        known[key] = _curve(chains, s, k, rows)
+        known[key] = _in_powers(curve_through(times, places, given))
     return known[key]
 
 
-def _curve(chains, s, k, rows):
-    """A curve through the seen rows of one body, a PPoly."""
-    from scipy.interpolate import CubicHermiteSpline, PPoly, make_interp_spline
+def curve_through(times, places, velocities=None):
+    """A curve through places (n, d) of which all are seen, a spline of SciPy."""
+    from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
-    times, places = chains.driven_times[rows, s], chains.driven[rows, s, k]
-    given = chains.driven_velocities
-    if given is not None and np.isfinite(given[rows, s, k]).all():
-        return CubicHermiteSpline(times, places, given[rows, s, k])
-    degree = 5 if len(rows) > 5 else 1 if len(rows) < 4 else 3
-    spline = make_interp_spline(times, places, k=degree)
+    if velocities is not None and np.isfinite(velocities).all():
+        return CubicHermiteSpline(times, places, velocities)
+    return make_interp_spline(times, places, k=5 if len(times) > 5 else 1 if len(times) < 4 else 3)
+
+
+def _in_powers(spline):
+    """The curve as a PPoly, which knows its coefficients piece by piece."""
+    from scipy.interpolate import PPoly
+
+    if isinstance(spline, PPoly):
+        return spline
+    degree = spline.k
     knots = spline.t[degree : len(spline.t) - degree]
     powers = [spline(knots[:-1], nu=k) / math.factorial(k) for k in range(degree, -1, -1)]
     return PPoly(np.array(powers), knots)

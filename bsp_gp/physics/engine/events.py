@@ -37,7 +37,6 @@ def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
 
     Parameters
     ----------
-    stages : _Stages
     end : ndarray, shape (2, R, d, M)
         Ends with the modes of the start; a mended copy is returned.
     h : ndarray, shape (M,)
@@ -45,7 +44,6 @@ def through_events(flow, scheme, stages, end, h, modes, index, slopes=False):
         Modes of all intervals; those at `index` are changed in place.
     index : ndarray of int, shape (M,)
         Place of each step's interval in `modes`.
-    slopes : bool
 
     Returns
     -------
@@ -204,7 +202,8 @@ def _through(flow, scheme, points, h, slopes):
     ends = points.state.copy()
     modes = [mode.copy() for mode in points.modes]
     times, left = points.times.copy(), h.copy()
-    total = _unmoved(flow, len(h)) if slopes else None
+    n = flow.n_state
+    total = np.tile(np.eye(n, n + flow.n_constants), (len(h), 1, 1)) if slopes else None
     open_ = np.arange(len(h))
     for number in range(MAX_EVENTS + 1):
         chain = points.chain[open_]
@@ -222,12 +221,12 @@ def _through(flow, scheme, points, h, slopes):
         behind = flow.points(there.state, there.times, chain, new)
         if slopes:
             _straightened(flow, start, state, part, moved)
-            total[open_] = chained(total[open_], moved, flow.n_state)
+            total[open_] = chained(total[open_], moved, n)
             before = flow.points(state, there.times, chain, start.modes)
             _jumped(flow, total, open_, changes, is_held, (start, before, behind))
             if flow.motion.constraints:  # a body that creeps feels the least way off them
                 kept = flow.motion.constraints.tangent(behind)
-                total[open_] = chained(total[open_], kept, flow.n_state)
+                total[open_] = chained(total[open_], kept, n)
         ends[..., open_], times[open_] = there.state, there.times
         ends[..., open_[is_lost]] = np.nan
         for mode, held in zip(modes, new, strict=True):
@@ -239,12 +238,6 @@ def _through(flow, scheme, points, h, slopes):
         if not len(open_):
             break
     return ends, total, modes
-
-
-def _unmoved(flow, m):
-    total = np.zeros((m, flow.n_state, flow.n_state + flow.n_constants))
-    total[:, np.arange(flow.n_state), np.arange(flow.n_state)] = 1.0
-    return total
 
 
 def _switched(modes, index, changes):

@@ -10,11 +10,13 @@ then frozen (a `Mesh`), so that a fit sees one smooth function of its unknowns. 
 changes within a step, the step ends there, and the derivatives jump (saltation).
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import DOP853, RK45
 
+from bsp_gp.physics.engine.chains import spread
 from bsp_gp.physics.engine.driven import Driven
 from bsp_gp.physics.engine.events import chained, passed_over, through_events, up_to_events
 from bsp_gp.physics.engine.motion import Points
@@ -192,6 +194,10 @@ class Flow:
             return found
         return Points(state, times, chain, found.driven, self.motion.modes_at(found))
 
+    def at(self, nodes, row, chain, modes=None):
+        """Points at nodes (2, R, d, T, S) of some rows."""
+        return self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, modes)
+
     def held(self, nodes):
         """Nodes (2, R, d, T, S) put on the constraints of the law."""
         own = self.motion.constraints
@@ -207,17 +213,15 @@ class Flow:
     def _changed(self, nodes, change, modes=None):
         """Nodes (2, R, d, T, S) with states in the place of those at measured rows."""
         row, chain = np.nonzero(np.isfinite(self.chains.times))
-        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, modes)
-        nodes = nodes.copy()
-        nodes[..., row, chain] = change(points)
-        return nodes
+        changed = nodes.copy()
+        changed[..., row, chain] = change(self.at(nodes, row, chain, modes))
+        return changed
 
     def tangent(self, nodes, row, chain):
         """Derivatives of nodes that are put on the constraints, (M, n, n + k); None if none are."""
         if not self.motion.constraints:
             return None
-        points = self.points(nodes[..., row, chain], self.chains.times[row, chain], chain, [])
-        return self.motion.constraints.tangent(points)
+        return self.motion.constraints.tangent(self.at(nodes, row, chain, []))
 
     def step(self, scheme, points, h):
         """One step of a scheme with the modes frozen.
@@ -225,7 +229,6 @@ class Flow:
         Returns
         -------
         end : ndarray, shape (2, R, d, M)
-        stages : _Stages
         rates : ndarray, shape (s, 2, R, d, M)
         """
         stages = _Stages(self, scheme, points, h)
@@ -239,16 +242,13 @@ class Flow:
     def step_slopes(self, scheme, stages, h, first=None):
         """Derivatives at the end of a step by something before it and by the constants.
 
+        They are of the shape of `first`.
+
         Parameters
         ----------
         first : ndarray, shape (n, n + k, M) or (M, n, n + k), optional
             Derivatives of the start of the step, by default by itself. Points stand on the last
             axis where few derivatives of the law differ from zero (`is_sparse`).
-
-        Returns
-        -------
-        ndarray
-            Of the shape of `first`.
         """
         n, m = self.n_state, len(h)
         if first is None:
@@ -260,14 +260,8 @@ class Flow:
 
     def first_slopes(self, m):
         """Derivatives of m starts by themselves, as `step_slopes` takes them."""
-        n, k = self.n_state, self.n_constants
-        first = np.zeros((n, n + k, m) if self.is_sparse else (m, n, n + k))
-        own = np.arange(n)
-        if self.is_sparse:
-            first[own, own] = 1.0
-        else:
-            first[:, own, own] = 1.0
-        return first
+        one = np.eye(self.n_state, self.n_state + self.n_constants)
+        return np.tile(one[..., None], m) if self.is_sparse else np.tile(one, (m, 1, 1))
 
     def _sparse_slopes(self, scheme, stages, h, first, half, m):
         by_state, by_constant = self.motion.slope_rows(stages.joined())
@@ -302,10 +296,6 @@ class Flow:
 
         Errors that single steps make within their bound may grow behind them (a passage near a
         centre): meshes for smaller errors are compared until the ends stay.
-
-        Parameters
-        ----------
-        nodes : ndarray, shape (2, R, d, T, S)
         """
         mesh, ends = self._quick_mesh(nodes)
         factor = 1.0
@@ -422,20 +412,8 @@ class Flow:
         return end
 
     def advance(self, state, chain, begin, end):
-        """States of some chains at other times, earlier or later; nan where that fails.
-
-        Parameters
-        ----------
-        state : ndarray, shape (2, R, d, M)
-        chain : ndarray of int, shape (M,)
-        begin, end : ndarray, shape (M,), s
-
-        Returns
-        -------
-        ndarray, shape (2, R, d, M)
-        """
-        leg = object.__new__(Flow)
-        leg.__dict__.update(self.__dict__)
+        """States (2, R, d, M) of chains at other times, earlier or later; nan where that fails."""
+        leg = copy(self)
         # A chain may be asked for at several times: each has a row of its own.
         order = np.argsort(chain, kind="stable")
         row = np.empty(len(chain), dtype=int)
@@ -454,15 +432,11 @@ class Flow:
 
     def _scales(self, nodes):
         """Error that a place and a velocity of each chain may have in one step, (2, S)."""
-        spread = (nodes[0].max(axis=2) - nodes[0].min(axis=2)).max(axis=(0, 1))
+        extent = np.ptp(nodes[0], axis=2).max(axis=(0, 1))
         speed = np.abs(nodes[1]).max(axis=(0, 1, 2))
         with np.errstate(invalid="ignore", divide="ignore"):
-            rate = np.where(spread > 0, speed / spread, 0.0)
-        times = self.chains.times
-        seen = np.isfinite(times)
-        last = np.where(seen, times, -np.inf).max(axis=0)
-        first = np.where(seen, times, np.inf).min(axis=0)
-        span = last - first
+            rate = np.where(extent > 0, speed / extent, 0.0)
+        span = spread(self.chains.times)
         span = np.where(span > 0, span, 1.0)
         rate = np.where(np.isfinite(rate) & (rate > 0), rate, 1.0 / span)
         return np.stack([self.tolerance, self.tolerance * np.maximum(rate, 1.0 / span)])
@@ -488,7 +462,6 @@ class Flow:
         Parameters
         ----------
         nodes : ndarray, shape (2, R, d, T, S)
-        slopes : bool
 
         Returns
         -------
@@ -505,8 +478,10 @@ class Flow:
             for first in range(0, self.n_intervals, length):
                 block = slice(first, first + length)
                 index = mesh.order[block]
-                run = self._run_euler if mesh.scheme == "euler" else self._run_block
-                end, moved = run(nodes, mesh, index, block, slopes)
+                if mesh.scheme == "euler":
+                    end, moved = self._run_euler(nodes, index, slopes)
+                else:
+                    end, moved = self._run_block(nodes, mesh, index, block, slopes)
                 ends[..., index] = end
                 if slopes:
                     transitions[index] = moved
@@ -555,7 +530,7 @@ class Flow:
             total = np.moveaxis(total, -1, 0)
         return state, total
 
-    def _run_euler(self, nodes, mesh, index, block, slopes):
+    def _run_euler(self, nodes, index, slopes):
         """The paper's step: v += a h, then p += v h."""
         chain, h = self.chain[index], self.length[index]
         points = self.points(nodes[..., self.row[index], chain], self.start[index], chain)

@@ -86,7 +86,6 @@ class Graph:
         return self._numbers[node]
 
     def number(self, value):
-        """A fixed number."""
         return self._intern("number", float(value))
 
     def input(self, name, axis=None):
@@ -94,11 +93,9 @@ class Graph:
         return self._intern("input", (name, axis))
 
     def constant(self, name):
-        """A constant of the law."""
         return self._intern("constant", name)
 
     def has_constant(self, name):
-        """Whether a constant has been named."""
         return ("constant", name) in self._numbers
 
     def value_of(self, node):
@@ -192,14 +189,12 @@ class Graph:
         return self._fold(op, *args)
 
     def sum(self, nodes):
-        """Sum of nodes, left to right."""
         total = self.zero
         for node in nodes:
             total = self.add(total, node)
         return total
 
     def dot(self, a, b):
-        """Scalar product of two tuples of nodes."""
         return self.sum(
             self.call("square", x) if x == y else self.mul(x, y) for x, y in zip(a, b, strict=True)
         )
@@ -300,7 +295,6 @@ class Tape:
         Operations, in order: the places of their arguments and of the result.
     places : list of int
         Where the outputs are then.
-    n_places : int
     """
 
     def __init__(self, graph, outputs, moving):
@@ -341,18 +335,12 @@ class Tape:
         self._functions = [_function(op) for op, _, _ in steps]
 
     def prepare(self, inputs, constants):
-        """Compute what does not change along a track.
+        """Compute what does not change along a track, to hand to `run`: arrays by node.
 
         Parameters
         ----------
         inputs : callable
             ``inputs(name, axis)`` gives an array.
-        constants : mapping of str to array
-
-        Returns
-        -------
-        dict of int to array
-            To hand to `run`.
         """
         values = {}
         for node, op, content in self._leaves:
@@ -366,15 +354,7 @@ class Tape:
         return {node: values[node] for _, node in self.kept}
 
     def run(self, prepared, inputs):
-        """Values of the outputs at some instants.
-
-        Parameters
-        ----------
-        prepared : dict
-            From `prepare`, each ready to broadcast with the inputs.
-        inputs : callable
-            ``inputs(name, axis)`` gives an array.
-        """
+        """Values of the outputs at some instants, from what `prepare` made and inputs as there."""
         values = [prepared[node] for _, node in self.kept]
         values += [inputs(name, axis) for _, (name, axis) in self.loads]
         for function, (_, first, second, _) in zip(self._functions, self.line, strict=True):

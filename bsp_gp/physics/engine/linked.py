@@ -27,12 +27,7 @@ def is_held(law):
 
 
 class Linkages:
-    """The linkages of a law on some chains.
-
-    Parameters
-    ----------
-    parameters : sequence of (name, entity)
-    """
+    """The linkages of a law on some chains."""
 
     def __init__(self, law, chains, parameters):
         self.chains, self.n, self.d = chains, chains.n_moving, chains.n_dims
@@ -101,14 +96,7 @@ class Linkages:
         return out
 
     def slopes(self, free, by_state, by_constant, points):
-        """Derivatives of the accelerations, from those of `free`.
-
-        Parameters
-        ----------
-        free : ndarray, shape (R, d, M)
-        by_state : ndarray, shape (R, d, 2, R, d, M)
-        by_constant : ndarray, shape (R, d, k, M)
-        """
+        """Derivatives (R, d, 2, R, d, M), (R, d, k, M) of accelerations, from those of `free`."""
         by_state, by_constant = by_state.copy(), by_constant.copy()
         matrix = self.matrix(points)
         angle, rate = points.state[0][:, 0], points.state[1][:, 0]

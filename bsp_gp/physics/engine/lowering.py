@@ -51,7 +51,6 @@ class Lowering:
 
     Parameters
     ----------
-    n_dims : int
     direction : callable
         ``direction(name)`` gives the components of a lab axis.
     vectors : collection of str
@@ -65,7 +64,6 @@ class Lowering:
 
     Attributes
     ----------
-    modes : list of Mode
     stops : list of (tuple of int, tuple of int)
         Axes along which a force acts against a body's own velocity and may bring it to rest, and
         the nodes of the velocity of that on which it then rests.

@@ -62,7 +62,6 @@ class Points:
         return replace(self, state=state)
 
     def pick(self, index):
-        """Some of the points."""
         return Points(
             self.state[..., index],
             self.times[index],
@@ -188,10 +187,7 @@ class _Program:
 class Motion:
     """A law on some chains.
 
-    Parameters
-    ----------
-    parameters : sequence of (name, entity)
-        The constants that derivatives are taken by; entity "" = one for all.
+    Derivatives are by `parameters`, (name, entity) each; entity "" = one for all.
     """
 
     def __init__(self, law, chains, parameters):
@@ -541,12 +537,10 @@ class Motion:
         return still, still & ((creeping * way).sum(axis=1, keepdims=True) <= 0), creeping
 
     def _free_acceleration(self, points):
-        """Accelerations without constraints."""
         total = self._pushed(points)
         return self.linkages.accelerations(total, points) if self.linkages else total
 
     def _pushed(self, points):
-        """Forces over masses."""
         if self.compiled:
             return self.compiled.accelerations(points)
         _, n_own, n_dims, n_points = points.state.shape
@@ -579,13 +573,7 @@ class Motion:
         return np.broadcast_to(value, shape).sum(axis=1)
 
     def slopes(self, points, holds=True):
-        """Derivatives of the accelerations by the state and by the constants.
-
-        Returns
-        -------
-        by_state : ndarray, shape (M, R * d, 2 * R * d)
-        by_constant : ndarray, shape (M, R * d, k)
-        """
+        """Derivatives by the state, (M, R d, 2 R d), and by the constants, (M, R d, k)."""
         found = self.slope_rows(points, holds)
         return tuple(np.ascontiguousarray(np.moveaxis(part, -1, 0)) for part in found)
 

@@ -17,14 +17,7 @@ def fitted_properties(law):
 
 
 class Owners:
-    """Constants of a law in rows of the receivers and sources of some chains.
-
-    Parameters
-    ----------
-    parameters : sequence of (name, entity)
-    others : ndarray of int, shape (R, J)
-        Sources of every receiver.
-    """
+    """Constants of a law in rows of receivers and sources, `others` (R, J), of some chains."""
 
     def __init__(self, law, chains, parameters, others):
         self.chains, self.others = chains, others
@@ -44,13 +37,7 @@ class Owners:
         ], dtype=object).T  # fmt: skip
 
     def values(self, name, known, kind):
-        """Values of a constant, a number or an array (R, S), of pairs (R, J or 1, S).
-
-        Parameters
-        ----------
-        known : mapping of str to float or mapping
-            Values of all constants of the law.
-        """
+        """Values of a constant, a number or an array (R, S), of pairs (R, J or 1, S)."""
         column, role = property_of(name) or ("", "")
         if column in self._members:
             members, table = self._members[column], np.array(self.chains.column(column))

@@ -13,7 +13,9 @@ CLOSE = 1e-14
 
 
 def roots(margin, low, high, near=0.0):
-    """Where margins leave the positive, all at once.
+    """Lengths before and behind which margins leave the positive, (M,) each, all at once.
+
+    Both are the same where a margin is on the edge already.
 
     Parameters
     ----------
@@ -23,11 +25,6 @@ def roots(margin, low, high, near=0.0):
         Positive at the first, not at the second.
     near : ndarray, shape (M,), or float
         Part of its own length to which a root is found, if that is not as close as `CLOSE`.
-
-    Returns
-    -------
-    before, behind : ndarray, shape (M,)
-        The same where a margin is on the edge already.
     """
     near = np.broadcast_to(near, low.shape)
     return (_narrowed if len(low) <= FEW else _bisected)(margin, low, high, near)

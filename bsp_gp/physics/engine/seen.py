@@ -32,7 +32,6 @@ class Frame:
         return getattr(self.graph, name)
 
     def input(self, name, axis=None):
-        """As that of the graph."""
         true = self._state.get(name)
         return self.graph.input(name, axis) if true is None else true[axis or 0]
 
@@ -130,7 +129,7 @@ def _late(flow, nodes):
     if not parts:
         return Sight(places)
     rows, chain = np.nonzero(np.isfinite(chains.times))
-    points = flow.points(nodes[..., rows, chain], chains.times[rows, chain], chain)
+    points = flow.at(nodes, rows, chain)
     (p, v), a = points.state, motion.acceleration(points)
     by_state, by_constant = motion.slopes(points)
     bodies, late = np.array(chains.bodies).T[:, None, chain], {}

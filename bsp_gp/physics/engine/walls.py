@@ -27,12 +27,7 @@ def walls_of(law):
 
 
 class Walls:
-    """The walls of a law on some chains.
-
-    Parameters
-    ----------
-    parameters : sequence of (name, entity)
-    """
+    """The walls of a law on some chains."""
 
     def __init__(self, law, chains, parameters):
         self.parts, self.n_chains = walls_of(law), chains.n_chains
@@ -127,21 +122,16 @@ class Walls:
         return state
 
     def bounced(self, points, hit, acceleration, slopes=False):
-        """Ends of steps behind their contacts.
+        """Ends of steps behind their contacts, (2, R, d, M), and derivatives of these, or None.
+
+        Derivatives are by the state, (M, n, n), and by the constants, (M, n, k).
 
         Parameters
         ----------
         points : Points
             At the ends of steps, all of which hit the same wall with the same body.
-        hit : int
         acceleration : callable
             Of points, (R, d, M).
-        slopes : bool
-
-        Returns
-        -------
-        state : ndarray, shape (2, R, d, M)
-        by_state, by_constant : ndarray, shapes (M, n, n) and (M, n, k); or None
         """
         stays, pair = divmod(int(hit), self.n_codes)
         number, body = divmod(pair, self.n_own)
