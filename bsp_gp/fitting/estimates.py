@@ -16,7 +16,8 @@ class ConstantEstimate:
         "" if it cannot be said.
     state : str
         "undetermined" where the data allow any value (of a property: any that its prior does),
-        "at_bound" where it lies at the end of what it may be; else "".
+        "at_bound" where it lies at the end of what it may be; "unfinished" where the fit was not
+        brought to an end, and the value is where it stood; else "".
     """
 
     name: str

@@ -379,7 +379,9 @@ def constant_estimates(found, dataset, bounds=None):
             unit = f"{unit} per unit mass"
         state = ""
         is_open = name in priors and error > UNTOLD * priors[name].width(value)
-        if is_open or not (math.isfinite(half) and math.isfinite(value)):
+        if not math.isfinite(half) and math.isfinite(value) and found.status == "unconverged":
+            state = "unfinished"
+        elif is_open or not (math.isfinite(half) and math.isfinite(value)):
             state = "undetermined"
         elif (value <= low or value >= high) and not found.is_failed:
             state = "at_bound"

@@ -122,7 +122,10 @@ def doubts(found, widening, has_test):
     """Notes on what is doubtful about a fit."""
     notes = []
     if found.is_failed:
-        notes.append(f"{CHECK}the fit failed ({found.status}): its values say nothing of the law")
+        said = "the fit failed ({}): its values say nothing of the law"
+        if found.status == "unconverged":
+            said = "the fit was not brought to an end ({}): its values are where it stood"
+        notes.append(CHECK + said.format(found.status))
     elif widening > 1:
         what = "known errors" if found.status == "refuted" else "noise"
         note = f"{CHECK}{found.chi2_red:.3g} times the variance of the {what} is left"
@@ -170,6 +173,8 @@ def variables(constants):
         if c.state == "undetermined":
             at = f" (left at {c.value:.3g}{unit})" if math.isfinite(c.value) else ""
             yield f"{head} undetermined by these data{at}"
+        elif c.state == "unfinished":
+            yield f"{head} {c.value:.4g}{unit}, where the fit stood when it was ended"
         elif c.state == "at_bound":
             yield f"{head} at its bound, {c.value:.8g}{unit}"
         elif not math.isfinite(half):

@@ -139,6 +139,8 @@ def format_constant(constant):
     c = constant
     if c.state == "undetermined":
         return "undetermined by these data"
+    if c.state == "unfinished":
+        return f"{format_value(c.value, unit=c.unit)}, where its fit stood when it was ended"
     text = format_value(c.value, c.low, c.high, c.unit)
     if c.state == "at_bound":
         return f"{format_value(c.value, unit=c.unit)}, at its bound"
