@@ -136,6 +136,7 @@ def long_table(
     dated, frames, untimed = False, None, ""
     if not as_text:
         found = found if groups else _with_rising_clock(frame, found)
+        found = _with_named_recordings(frame, found)
         frame, found, steps = with_sums_of_steps(frame, found)
         frame, dates, dated = _without_dates(frame, [h.name for h in found])
         notes = (*notes, *steps, *dates)
@@ -226,6 +227,20 @@ def _with_rising_clock(frame, found):
     found = [replace(h, name=h.stem or h.theirs, sure=UNKNOWN) if k in own else h
              for k, h in enumerate(found)]  # fmt: skip
     return [replace(h, name="t", sure=GUESS) if k == best else h for k, h in enumerate(found)]
+
+
+def _with_named_recordings(frame, found):
+    """Texts under a word for frames or films, beside a clock, as names of recordings."""
+    names = [h.name for h in found]
+    if "t" not in names or "scene" in names:
+        return found
+    is_text = [frame[k].dtype.kind not in "fiub" for k in range(len(found))]
+    return [
+        replace(h, name="scene")
+        if h.name == "frame" and h.sure == GUESS and is_text[k]
+        and pd.to_numeric(frame[k], errors="coerce").isna().all() else h
+        for k, h in enumerate(found)
+    ]  # fmt: skip
 
 
 def _rise(cells):
@@ -469,6 +484,8 @@ def _parse_slowly(source, options, numeric, names):
         plain = cells.str.replace(decimal_comma, ".", regex=False) if decimal_comma else cells
         numbers = pd.to_numeric(plain, errors="coerce").astype(float)
         bad = (numbers.isna() & cells.notna()).to_numpy()
+        if names[column] == "frame" and bad.all() and "t" in names:
+            continue  # names of films
         if bad.any():
             row = int(bad.argmax())
             remedy = "write numbers like 1.5 or 2e-3, without units; leave a gap's row out"

@@ -440,14 +440,26 @@ def _workbook(path):
 
 
 def _with_headers(sheets, filled):
-    """Sheets called after runs, of numbers alone, with the headings that such a table gets."""
-    widths = {len(row) for title in filled for row in sheets[title]}
+    """Sheets called after runs, of numbers alone, with the headings that such a table gets.
+
+    What stands beside the numbers, and is none, is a legend.
+    """
+    bare = {title: _without_legend(rows) for title, rows in sheets.items()}
+    widths = {len(row) for title in filled for row in bare[title]}
     is_bare = len(filled) > 1 and all(map(is_run, filled)) and widths <= {2, 3, 4}
-    cells = [cell for title in filled for row in sheets[title] for cell in row]
+    cells = [cell for title in filled for row in bare[title] for cell in row]
     if not (is_bare and len(widths) == 1 and all(map(_NUMBER.fullmatch, cells))):
         return sheets
     header = ["t", "x", "y", "z"][: widths.pop()]
-    return {title: [header, *rows] if rows else rows for title, rows in sheets.items()}
+    return {title: [header, *rows] if rows else rows for title, rows in bare.items()}
+
+
+def _without_legend(rows):
+    """Rows up to the first column without a number, where none behind it has one."""
+    are_numbers = [[bool(_NUMBER.fullmatch(cell)) for cell in row] for row in rows]
+    has_numbers = list(map(any, zip(*are_numbers, strict=True)))
+    width = has_numbers.index(False) if False in has_numbers else len(has_numbers)
+    return rows if any(has_numbers[width:]) else [row[:width] for row in rows]
 
 
 def _with_one_header(sheets, filled):

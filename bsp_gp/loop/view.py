@@ -33,6 +33,8 @@ MOST_WEIGHTS = 400_000
 themselves, and waves, are scanned on a part of the chains, and the best of them scored on all."""
 MOST_ROWS = 10_000
 """Of which forces that change from row to row are asked for."""
+NOTHING = 1e-150
+"""Size of moments below which numbers do not carry them."""
 MOST_LEVELS = 4
 """Times that the level of the noise is told anew beside a free force."""
 N_DRAWS, N_ROW_DRAWS = 49, 99
@@ -392,9 +394,9 @@ class View:
     def fitted_to(self, columns):
         """Amounts of columns (n, c) that explain most together, the columns' sizes, the gain."""
         top = np.abs(columns).max(axis=0, initial=0.0)  # squares may be beyond all numbers
-        top = np.where(top > 0, top, 1.0)
-        size = np.linalg.norm(columns / top, axis=0)
-        size = top * np.where(size > 0, size, 1.0)
+        top = np.where(top > NOTHING, top, 1.0)
+        size = top * np.linalg.norm(columns / top, axis=0)
+        size = np.where(size > NOTHING, size, 1.0)
         amounts = np.linalg.lstsq(columns / size, self.left, rcond=1e-10)[0] / size
         gain = self.left @ self.left - np.square(self.left - columns @ amounts).sum()
         return amounts, size, float(gain)

@@ -371,7 +371,7 @@ def constant_distance(effect):
             unit, seen = pivot[0].unit, [c.value for c in pivot]
         to = f"to ({', '.join(format_number(x, 3) for x in seen)}) {unit}"
     else:
-        first, second = re.findall(r"p_(\w+)", between)
+        first, second = between.removeprefix("norm(p_").removesuffix(")").split(" - p_", 1)
         to = f"of {first} and {second}"
     return f"distance {to} is constant, {size}: a string or rod"
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bsp_gp.language.canonical import canonical_key
-from bsp_gp.language.formula import rename_constants
+from bsp_gp.language.formula import rename_constants, walk
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.kin import kin_of
@@ -35,12 +35,21 @@ class Unfollowed:
         law, n_dims = view.hypothesis.law, view.dataset.n_dims
         known = {_key(term.formula, n_dims) for term in law.terms}
         formulas = _unlike(known, kin_of(law, n_dims), self.laws.kinds, n_dims)
-        formulas = formulas or _unlike(known, self.laws.common, self.laws.kinds, n_dims)
+        common = [f for f in self.laws.common if _may_act(f, view.fit.noise.levels)]
+        formulas = formulas or _unlike(known, common, self.laws.kinds, n_dims)
         gain = float(np.nan_to_num(view.left @ view.left))
         return Family(
             self.name, tuple(_proposal(view, f, gain) for f in formulas.values()), gain, 1,
             np.zeros(1), n_tried=len(formulas),
         )  # fmt: skip
+
+
+def _may_act(formula, levels):
+    """Whether a law may push along an axis along which bodies move: one that has errors, (d,)."""
+    still = {f"e_{axis}" for axis, level in zip("xyz", levels, strict=False)
+             if not np.isfinite(level)}  # fmt: skip
+    is_across = any(getattr(node, "operator", "") in ("perp", "cross") for node in walk(formula))
+    return not formula.inputs & still and not (is_across and len(levels) - len(still) < 2)
 
 
 def _unlike(known, formulas, kinds, n_dims):
