@@ -242,6 +242,8 @@ def _by_instruments(table):
     of = {n: words_of(text) for n, text in table.unused.items() if n in table.frame}
     names = named or [n for n, words in of.items() if words & INSTRUMENTS]
     names = names or [n for n, words in of.items() if words == {"source"}]
+    if len(names) > 1 and "t" in table.frame:  # one that tells apart what was published twice
+        names = [n for n in names if not table.frame.duplicated(["t", n]).any()]
     if len(names) != 1:
         return _told_of_instruments(table)
     (name,) = names
