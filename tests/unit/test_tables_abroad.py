@@ -223,6 +223,26 @@ def test_sheets_with_one_header_are_recordings(tmp_path):
     assert np.allclose(along(bare, 1, 1), FALL)
 
 
+def test_a_legend_beside_numbers_is_no_column(tmp_path):
+    """Ten runs in ten sheets had the first one's legend for a header, and no places."""
+    pytest.importorskip("openpyxl")
+    one = pd.DataFrame({"t": TIMES, "x": TIMES, "y": FALL})
+    legend = pd.DataFrame([["", "t", "x", "y"]])
+    with pd.ExcelWriter(tmp_path / "runs.xlsx") as book:
+        for name, table in (("Run 1", pd.concat([one, legend], axis=1)), ("Run 2", one)):
+            table.to_excel(book, sheet_name=name, index=False, header=False)
+    dataset = load_dataset(tmp_path / "runs.xlsx")
+    assert [scene.name for scene in dataset.scenes] == ["Run 1", "Run 2"]
+    assert np.allclose(dataset.scenes[0].positions[:, 0, 1], FALL)
+
+
+def test_names_of_films_are_recordings(tmp_path):
+    told = rows(TIMES, TIMES, FALL).splitlines()
+    lines = [f"v{k},{row}" for k in (1, 2) for row in told]
+    dataset = read(tmp_path, "video,t (s),x (m),y (m)\n" + "\n".join(lines))
+    assert [scene.name for scene in dataset.scenes] == ["v1", "v2"]
+
+
 def test_a_mark_for_nothing_seen_is_a_gap(tmp_path):
     x = np.where(np.arange(12) % 4 == 1, -1.0, 10 + TIMES)
     y = np.where(np.arange(12) % 4 == 1, -1.0, 20 + FALL)
