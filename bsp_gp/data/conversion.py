@@ -26,7 +26,9 @@ KINDS = ("length", "time", "mass", "charge", "velocity")
 _PIXEL = re.compile(r"\b(?:px|pixels?|arcsec(?:ond)?s?|mas)\b", re.IGNORECASE)
 """In the place of a length, see `bsp_gp.units.UNCALIBRATED`."""
 _MAS = re.compile(r"\bmas\b", re.IGNORECASE)
-_NUMBERED = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s+(.+)")
+_NUMBERED = re.compile(
+    r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?:\s+|(?=[^\W\d_]))(.+)"
+)
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 _EXAMPLES = {"time": ("s", "--fps 25 where it counts frames"),
              "length": ("m", '"px" if the picture is not calibrated')}  # fmt: skip

@@ -236,6 +236,14 @@ def test_a_legend_beside_numbers_is_no_column(tmp_path):
     assert np.allclose(dataset.scenes[0].positions[:, 0, 1], FALL)
 
 
+@pytest.mark.parametrize("unit", ["0.5 cm", "0.5cm"])
+def test_a_number_before_a_unit_needs_no_blank(tmp_path, unit):
+    path = tmp_path / "run.csv"
+    path.write_text(f"t,x,y\n{rows(TIMES, TIMES, FALL)}", encoding="utf-8")
+    dataset = load_dataset(path, units={"length": unit, "time": "s"})
+    assert np.allclose(dataset.scenes[0].positions[:, 0, 1], 0.005 * FALL)
+
+
 def test_names_of_films_are_recordings(tmp_path):
     told = rows(TIMES, TIMES, FALL).splitlines()
     lines = [f"v{k},{row}" for k in (1, 2) for row in told]
