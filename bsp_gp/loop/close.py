@@ -540,8 +540,7 @@ def _written(
         for done in rounds
     ]
     total = _total(accounts, at[id(first)], at[id(last)])
-    is_noise = not total["after"].rollout_rmse > accounts.noisiest
-    records = writing_up.not_foreseen(records, total["ratio"], is_noise)
+    records = writing_up.not_foreseen(records, total["ratio"], accounts)
     records = writing_up.judged_together(records)
     verdict = min((r.verdict for r in records), key=VERDICTS.index)
     if writing_up.is_idle(rounds, pruned.removed, total["ratio"]):

@@ -652,6 +652,11 @@ class _Turn:
         self._fit_part()
 
     @property
+    def _fitted_keys(self):
+        """Keys of what was fitted, a set."""
+        return {row.key for row in self.rows if row.is_fit}
+
+    @property
     def _likeliest(self):
         """The row of the likeliest proposal that was fitted, or None."""
         fitted = (row for row in self.rows[1:] if row.is_fit and row.id in self.proposals)
@@ -698,7 +703,7 @@ class _Turn:
                  and all(set(f.inputs) <= UNIFORM for f in p.formulas))  # fmt: skip
         source, best = next(plain, ("", None))
         is_most = best is not None and best.gain > WEIGHTY * self.missing
-        is_new = is_most and best.key not in {row.key for row in self.rows if row.is_fit}
+        is_new = is_most and best.key not in self._fitted_keys
         if is_new and not self.base.law.terms and not self.note_time("fits"):
             self.run.says(f"fit of a weight: {best.text}")
             self._followed(source, best, _fit_of(self._shared, (source, best)))
@@ -719,10 +724,9 @@ class _Turn:
         if row is None or is_usual(self.proposals[row.id]):
             return
         least = self.proposals[row.id].promise - 2 * self.run.criteria.class_nats
-        known = {other.key for other in self.rows if other.is_fit}
         near = [(source, p) for source, p in every if p.promise > least and is_usual(p)]
         for source, proposal in near[:MOST_USUAL]:
-            if proposal.key in known or self.note_time("fits"):
+            if proposal.key in self._fitted_keys or self.note_time("fits"):
                 continue
             self.run.says(f"fit of usual laws: {proposal.text}")
             self._followed(source, proposal, _fit_of(self._shared, (source, proposal)))
@@ -839,7 +843,7 @@ class _Turn:
         for simpler in forms[:MOST_LIMITS]:
             if proposal.formulas:
                 simpler = _led_by(simpler, proposal, found, self.run.criteria)
-            if simpler.key in {r.key for r in self.rows if r.is_fit} or self.note_time("fits"):
+            if simpler.key in self._fitted_keys or self.note_time("fits"):
                 continue
             self.run.says(f"fit of a limit: {simpler.text}")
             self._fit_after(row, simpler)
@@ -854,8 +858,7 @@ class _Turn:
         shared = row and _with_one_strength(
             self.proposals[row.id], self.hypotheses[0], self.fits[row.id], self.run.criteria
         )
-        known = {other.key for other in self.rows if other.is_fit}
-        if shared is None or shared.key in known or self.note_time("fits"):
+        if shared is None or shared.key in self._fitted_keys or self.note_time("fits"):
             return
         self.run.says(f"fit with one strength for all: {shared.text}")
         self._fit_after(row, shared)
@@ -882,7 +885,7 @@ class _Turn:
             if proposal.judged is not None or len(proposal.formulas) < 2:
                 return
             smaller = _without_weakest(proposal, found, self.run.criteria)
-            if smaller is None or smaller.key in {r.key for r in self.rows if r.is_fit}:
+            if smaller is None or smaller.key in self._fitted_keys:
                 return
             same = (p for f in self.families for p in f.proposals if p.rank == smaller.rank)
             twin = next((p for p in same if p.key == smaller.key), None)

@@ -402,7 +402,7 @@ def _new(found, before):
     return [term.formula for term in found.law.terms if term.formula not in known]
 
 
-def not_foreseen(records, ratio, is_noise):
+def not_foreseen(records, ratio, accounts):
     """Records in which causes that held-out rows do not bear out are no facts.
 
     Few held-out rows do not refuse a law for sure. One with which the error grows notably is not
@@ -414,12 +414,13 @@ def not_foreseen(records, ratio, is_noise):
     records : sequence of RoundRecord
     ratio : Ratio
         Of errors on what was held out, under the final law and the declared one.
-    is_noise : bool
-        Whether the error that is left there is no more than noise.
+    accounts : Accounts
+        Errors of the final law are the last there.
     """
-    is_blind = ratio.value >= 1 and ratio.high > BLIND
-    if not (ratio.value > NOTABLE or is_blind):
+    says_nothing = ratio.value >= 1 and ratio.high > BLIND
+    if not (ratio.value > NOTABLE or says_nothing):
         return records
+    is_noise = not accounts.errors(-1).rollout_rmse > accounts.noisiest
     blind = ("kicks", "noise", "measurement")  # nobody foresees what these do
     return [
         replace(r, verdict="effective law", reason="poorly_foreseen")

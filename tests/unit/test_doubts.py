@@ -209,5 +209,7 @@ class Told:
 def test_what_held_out_rows_do_not_bear_out_is_no_fact(ratio, is_noise, is_fact, said):
     """The turning points of a pendulum had an effect with a ratio of 1.2 [0.1, 3.5]."""
     force, mended = (Told(SimpleNamespace(kind=k, is_fact=is_fact)) for k in ("field", "noise"))
-    told, other = not_foreseen([force, mended], ratio, is_noise)
+    left = SimpleNamespace(rollout_rmse=1.0)
+    accounts = SimpleNamespace(errors=lambda k: left, noisiest=2.0 if is_noise else 0.5)
+    told, other = not_foreseen([force, mended], ratio, accounts)
     assert told.reason == said and other.reason == "adopted"

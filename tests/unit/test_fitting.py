@@ -141,6 +141,9 @@ def test_a_time_limit_ends_a_fit_and_is_told(noisy):
     fit = fit_law(noisy, [GRAVITY, DRAG], time_limit=1e-9)
     assert (fit.status, fit.converged) == ("unconverged", False)
     assert "the time limit of 1e-09 s came first" in fit.message
+    assert [c.state for c in fit.constants] == ["unfinished"] * len(fit.constants)
+    assert "where the fit stood when it was ended" in fit.text()
+    assert "undetermined" not in fit.text() and "say nothing of the law" not in fit.text()
 
 
 def test_what_is_told_can_be_typed_back():
