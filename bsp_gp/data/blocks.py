@@ -24,6 +24,8 @@ OFF_CURVE = APART**2 / 288
 fourth power of the length of a block."""
 KINKED = 6.0
 """Standard deviations by which a mean may be off its neighbours' curve: more is a kick."""
+LEAST_LENGTH = 4
+"""Rows of a block from which it is told by itself whether there is more than noise in it."""
 LEAST_BENT = 6
 """Rows of a block from which it is told whether they lie on a parabola, and not on a line."""
 NO_MORE = 5e-3
@@ -112,8 +114,17 @@ def _is_smooth(tracks, sigma, length):
     at_once = np.diff(means, 2, axis=0)[APART - 1 : 1 - APART] - _differences(means, 2) / APART**2
     if np.nanmax(np.abs(at_once) / error) > KINKED * np.sqrt(6.0):
         return False
-    blocks = blocks[known.all(axis=(1, 2))]
-    return length < 4 or bool(np.all(_scatter(blocks) < SCATTER * np.square(sigma)))
+    blocks = _of_rows_enough(blocks)
+    blocks = blocks[np.isfinite(blocks).all(axis=(1, 2, 3))]
+    return len(blocks) > 0 and bool(np.all(_scatter(blocks) < SCATTER * np.square(sigma)))
+
+
+def _of_rows_enough(blocks):
+    """Blocks (n, length, ...), two for one where they are so short that noise fills them."""
+    count, length = blocks.shape[:2]
+    if length >= LEAST_LENGTH:
+        return blocks
+    return blocks[: count // 2 * 2].reshape(count // 2, 2 * length, *blocks.shape[2:])
 
 
 def _differences(means, order):
@@ -182,12 +193,10 @@ def _has_smooth_velocities(scene, length):
     if count <= 4 * APART:
         return False
     blocks = velocities[: count * length].reshape(count, length, *velocities.shape[1:])
-    if length < 4:
-        blocks = blocks[: count // 2 * 2].reshape(count // 2, 2 * length, *velocities.shape[1:])
     rough = np.diff(velocities, 4, axis=0).reshape(-1, velocities.shape[-1])
     noise = (1.4826 * np.median(np.abs(rough), axis=0)) ** 2 / 70
     lost = np.square(NO_MORE) * velocities.var(axis=(0, 1))
-    return bool(np.all(_scatter(blocks) <= SCATTER * noise + lost))
+    return bool(np.all(_scatter(_of_rows_enough(blocks)) <= SCATTER * noise + lost))
 
 
 def _at_ends(scene, length):

@@ -56,6 +56,7 @@ from bsp_gp.loop.proposal import FAULTS, continued
 from bsp_gp.loop.proposers import standard
 from bsp_gp.loop.proposers.kicks import is_kicked
 from bsp_gp.loop.questions import hidden_bound
+from bsp_gp.loop.retraced import is_likelier, retraced
 from bsp_gp.loop.slight import MOST_CAUSES
 from bsp_gp.loop.unknown import unknowns
 from bsp_gp.loop.view import View
@@ -153,8 +154,8 @@ def close_loop(
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
     (
         split_rng, round_rng, account_rng, swapped_rng, asked_rng, foresight_rng, parts_rng,
-        flights_rng,
-    ) = generator(rng).spawn(8)  # fmt: skip
+        flights_rng, retraced_rng,
+    ) = generator(rng).spawn(9)  # fmt: skip
     crew = Crew(workers, needs=run_rounds)
     says("reading the data set")
     known = {"t", *dataset.logged}
@@ -220,6 +221,12 @@ def close_loop(
         found = first_look(other, rng_split[0], other.begin(starts, bounds, clock), rng_split[1])
         if any(done.decision.is_adopted for done in found[0]):
             ready, (rounds, foresight, foreseen) = other, found
+    if (before := retraced(rounds)) is not None and not clock.is_over:
+        says("asking for more beside laws of textbooks")
+        look_rng, ahead_rng = retraced_rng.spawn(2)
+        found = first_look(ready, look_rng, begun, ahead_rng, earlier=before)
+        if is_likelier(found[0], rounds, criteria):
+            rounds, foresight, foreseen = found
     is_cut = False
     if ready.has_more and rounds[0].decision.verdict == "nothing missing":
         # What acts in held-out scenes only would be missed.

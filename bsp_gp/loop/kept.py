@@ -44,7 +44,8 @@ def _told(done):
     """Numbers of the hypotheses of which a report tells the law or the constants."""
     best = done.decision.best
     likely = (row.id for row in done.table.rows if row.probability >= LEAST_LIKELY)
-    told = dict.fromkeys((*(() if best is None else (best.id,)), *likely))
+    plain = None if done.usual is None else done.usual.decision.best
+    told = dict.fromkeys((*(row.id for row in (best, plain) if row is not None), *likely))
     return [k for k in told if k in done.proposals]
 
 

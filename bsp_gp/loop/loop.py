@@ -26,6 +26,7 @@ from bsp_gp.loop.decide import SWAMPED, decide
 from bsp_gp.loop.evidence import WEAK, log_evidence, significance
 from bsp_gp.loop.proposal import FAULTS, PATIENT, both_of, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
+from bsp_gp.loop.retraced import usual_law
 from bsp_gp.loop.rivals import Explained
 from bsp_gp.loop.slight import LITTLE, leaves_little, size_left, without_the_slight
 from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, HypothesisTable, Row, held_out_gain, part_of
@@ -125,6 +126,8 @@ class Round:
         What else was asked of the fit that enters.
     aside : Aside or None
         What it would adopt, while laws are asked for without that.
+    usual : Aside or None
+        What it would adopt of textbooks, where it adopts an odd law that leaves hardly less.
     """
 
     number: int
@@ -144,6 +147,7 @@ class Round:
     hidden_bound: object = None
     trace: object = None
     aside: object = None
+    usual: object = None
 
     @property
     def continuing(self):
@@ -273,6 +277,12 @@ class _Run:
         """Laws that are asked first of any motion."""
         return next((p.common for p in self.proposers if hasattr(p, "common")), ())
 
+    def is_usual(self, proposal):
+        """Whether a proposal is of one or two laws of textbooks and of nothing else."""
+        usual = {split_linear(formula)[1] for formula in self.usual}
+        rest = [split_linear(formula)[1] for formula in proposal.formulas]
+        return proposal.is_usual or 0 < len(rest) <= 2 and usual.issuperset(rest)
+
     def view_of(self, found, hypothesis, rng):
         """What proposers see of a fit."""
         near = continued(hypothesis, found)
@@ -320,12 +330,15 @@ class _Run:
         if law is not None:
             aside = Aside(decision, self.details(decision.best, turn, view, rng))
             decision = law
-        decision = turn.in_time(decision)
+        decision, usual = turn.in_time(decision), None
         details = self.details(decision.best, turn, view, rng)
+        plain = usual_law(turn, table, decision, self.is_usual)
+        if plain is not None:
+            usual = Aside(plain, self.details(plain.best, turn, view, rng))
         return Round(
             number, found, table, decision, turn.fits, turn.hypotheses, tuple(turn.families),
             turn.proposals, time.monotonic() - started, tuple(turn.left_out), details,
-            aside=aside, **asked,
+            aside=aside, usual=usual, **asked,
         )  # fmt: skip
 
     def held(self, number, found, hypothesis, view):
@@ -714,13 +727,7 @@ class _Turn:
         A camera that zooms, or a wind straight up, leaves as little as weight and drag do: no such
         thing is told before these were tried.
         """
-        row = self._likeliest
-        usual = {split_linear(formula)[1] for formula in self.run.usual}
-
-        def is_usual(proposal):
-            rest = [split_linear(formula)[1] for formula in proposal.formulas]
-            return 0 < len(rest) <= 2 and usual.issuperset(rest)
-
+        row, is_usual = self._likeliest, self.run.is_usual
         if row is None or is_usual(self.proposals[row.id]):
             return
         least = self.proposals[row.id].promise - 2 * self.run.criteria.class_nats
@@ -986,16 +993,16 @@ class _Turn:
 
         Tracks are cut where less is left of all others than beside any fit so far.
         """
-        row, cut = self._fitted(source, proposal, found), False
+        row = self._fitted(source, proposal, found)
         for _ in range(PASSES):
             new = self.fits.get(row.id)
             if new is None or not new.lost or not self._is_ahead(row) or self.note_time("fits"):
                 break
-            hypothesis, cut = cut_short(proposal.hypothesis, new), True
+            hypothesis = cut_short(proposal.hypothesis, new)
             proposal = replace(proposal, hypothesis=hypothesis, starts=new.starts)
             row = self._fitted(source, proposal, _fit_of(self._shared, (source, proposal)))
-        if cut and row.is_fit:
-            price = self._price_of_cuts(proposal)
+        price = self._price_of_cuts(proposal) if row.is_fit else 0.0
+        if price:
             proposal = self.proposals[row.id] = replace(
                 proposal, log_prior=proposal.log_prior - price
             )
@@ -1012,7 +1019,7 @@ class _Turn:
         cuts = [p for p in proposal.hypothesis.parts
                 if isinstance(p, CutShort) and p not in base.parts]  # fmt: skip
         price = self.run.criteria.cause_nats * len({(cut.scene, cut.bodies) for cut in cuts})
-        if self.base.is_failed:
+        if not cuts or self.base.is_failed:
             return price
         alike = replace(
             proposal, hypothesis=base + Hypothesis(tuple(cuts)), starts={}, bounds={},

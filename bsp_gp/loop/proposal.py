@@ -78,6 +78,9 @@ class Proposal:
     is_alike : bool
         Whether no track like these tells it from a cause of another kind that leaves as little,
         whatever fewer numbers make likelier: who goes round evenly is held by a rod, or drawn.
+    is_usual : bool
+        Whether it is of laws of textbooks, though not of those that a grammar names as such: of a
+        spring about a rest point that is fitted.
     news : dict of Formula to int
         Of terms of a series, how much each adds to what is known of textbooks.
     after : Proposal or None
@@ -111,6 +114,7 @@ class Proposal:
     is_first: bool = False
     is_last: bool = False
     is_alike: bool = False
+    is_usual: bool = False
     news: dict = field(default_factory=dict)
     after: object = None
     instead: object = None

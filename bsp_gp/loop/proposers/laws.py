@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from bsp_gp.errors import BspError, EvaluationError, SettingsError
+from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.response import RESOLVED
 from bsp_gp.language.formula import Input, rename_constants, walk
 from bsp_gp.language.grammar import PLACED
@@ -15,6 +16,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, Proposal, with_term
 from bsp_gp.loop.proposers.inside import inner_search
 from bsp_gp.loop.proposers.kin import kin_of
+from bsp_gp.loop.proposers.odd_tracks import without_odd_track
 from bsp_gp.loop.proposers.priors import cost_of, drives
 from bsp_gp.loop.proposers.sums import pairs_of, properties_of, sets_of
 from bsp_gp.loop.proposers.varying import beside_unknown
@@ -135,7 +137,13 @@ class Laws:
             sets = [*sets, *sets_of(view, self, found, declared)]
         proposals = [_proposal(view, (one,)) for one in found[:MOST_NEAR]]
         proposals = beside_unknown(view, proposals)
+        common = [c for c in ranked if c.formula in self.common]
         proposals += [_proposal(view, *each) for each in sets]
+        *odd, cut = without_odd_track(view, common, lambda formula: _column(view, formula))
+        if cut:
+            proposal = _proposal(view, *odd)
+            hypothesis = proposal.hypothesis + Hypothesis((cut,))
+            proposals.append(replace(proposal, hypothesis=hypothesis))
         view.leading = {}
         for one in found[:MOST_LEADING]:
             view.leading.setdefault(split_linear(one.formula)[1], one.complexity)

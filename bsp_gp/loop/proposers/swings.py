@@ -224,7 +224,7 @@ def _slowed(view, search, form, rate):
         hypothesis=with_term(spring.hypothesis, Term(slowing, "field"), {name: drag}),
         formulas=(*spring.formulas, slowing), rank=spring.rank + 1,
         starts=spring.starts | {name: drag},
-        log_prior=spring.log_prior - view.criteria.cause_nats,
+        log_prior=spring.log_prior - view.criteria.cause_nats, is_usual=True,
     )  # fmt: skip
 
 

@@ -1,0 +1,80 @@
+"""Laws of textbooks that explain all tracks but one, which hides them from a search by all."""
+
+from itertools import chain, combinations
+
+import numpy as np
+
+from bsp_gp.fitting.parts.cut_short import CutShort
+
+LEAST_TRACKS = 4
+"""Tracks of which one may be odd."""
+MOST_OF_ALL = 0.5
+"""Part of all that is missing that an odd track has, and more."""
+LEFT = 0.02
+"""Part of what is missing in the others that a law which explains them leaves, at the most."""
+
+
+def without_odd_track(view, candidates, column_of):
+    """The likeliest one or two of `candidates` for all tracks but that which misses most.
+
+    A close pass, or a hand, in one of many may be more than all forces show in the others.
+
+    Parameters
+    ----------
+    view : View
+    candidates : sequence of Candidate
+    column_of : callable
+        ``column_of(formula)``: moments (n,) for each unit of a law's own constant.
+
+    Returns
+    -------
+    chosen : tuple of Candidate
+        Empty where no track is odd, or none of them explains the others.
+    amounts : ndarray, shape (len(chosen),)
+    gain : float
+        All that is missing in the odd track among it.
+    cut : CutShort or None
+        The odd track, as far as it is followed.
+    """
+    nothing = (), np.zeros(0), 0.0, None
+    owners, of_row = _tracks(view.response.regression.batches)
+    missing = np.bincount(of_row, np.square(view.left), len(owners))
+    odd = int(missing.argmax())
+    if len(owners) < LEAST_TRACKS or not missing[odd] > MOST_OF_ALL * missing.sum():
+        return nothing
+    columns = view.beside(np.stack([column_of(c.formula) for c in candidates], axis=1))
+    columns, left = columns[of_row != odd], view.left[of_row != odd]
+    total, best = float(left @ left), (-np.inf, *nothing[:3])
+    numbers = range(len(candidates))
+    for chosen in chain(combinations(numbers, 1), combinations(numbers, 2)):
+        own = columns[:, chosen]
+        amounts = np.linalg.lstsq(own, left, rcond=1e-10)[0]
+        gain = total - float(np.square(left - own @ amounts).sum())
+        promise = 0.5 * gain - sum(candidates[k].complexity for k in chosen)
+        if total - gain < LEFT * total and promise > best[0]:
+            best = promise, tuple(candidates[k] for k in chosen), amounts, gain
+    _, chosen, amounts, gain = best
+    cut = _cut(view, *owners[odd]) if chosen else None
+    return nothing if cut is None else (chosen, amounts, gain + float(missing[odd]), cut)
+
+
+def _tracks(batches):
+    """Scene and bodies of every track, and the number of its track for every moment."""
+    owners, numbers = {}, []
+    for batch in batches:
+        own = [
+            owners.setdefault(owner, len(owners))
+            for owner in zip(batch.scene_names, batch.bodies.receiver_names, strict=True)
+        ]
+        numbers.append(np.tile(own, len(batch.moments)))
+    return list(owners), np.concatenate(numbers)
+
+
+def _cut(view, scene, bodies):
+    """A track that is followed up to its sharpest turn; None where it is no chain of its own."""
+    for chains in view.fit.groups:
+        for k, owner in enumerate(zip(chains.scenes, chains.bodies, strict=True)):
+            if owner == (scene, bodies):
+                scenes = {s.name: s for s in view.dataset.scenes}
+                return CutShort.at_turn(chains, k, scenes[scene])
+    return None
