@@ -170,7 +170,7 @@ class Foresight:
             return True, False
         if not ratio > NO_BETTER:
             return False, True
-        if last is done and _is_foreseen(done.decision.best) and _is_hardly_shown(plain):
+        if last is done and is_foreseen(done.decision.best) and _is_hardly_shown(plain):
             return False, True
         return False, ratio < 1.0 and _is_better_in_noise(accounts(N_COPIES))
 
@@ -246,7 +246,7 @@ def _is_better_in_noise(accounts):
     return not has_room and ratio.high < 1.0
 
 
-def _is_foreseen(cause):
+def is_foreseen(cause):
     """Whether each scene that it was found in is foreseen by the others as well as was promised.
 
     Where what was held out hardly shows it that is what predictions say of it: gliders that have

@@ -24,6 +24,7 @@ from bsp_gp.loop.clock import Clock, TimeIsUp
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import SWAMPED, decide
 from bsp_gp.loop.evidence import WEAK, log_evidence, significance
+from bsp_gp.loop.foresight import is_foreseen
 from bsp_gp.loop.proposal import FAULTS, PATIENT, both_of, continued, without_term
 from bsp_gp.loop.questions import hidden_bound, noise_findings
 from bsp_gp.loop.retraced import usual_law
@@ -70,8 +71,9 @@ MOST_LEFT = 0.3
 """Part of the reduced chi-squared that may be left by what comes before all other causes."""
 MOST_BESIDE = 0.1
 """Part of what a law leaves, up to which a rod or a rail leaves little."""
-MOST_IN_TIME = 0.3
-"""The same of a law that is told as a description where the time is up."""
+MOST_IN_TIME, MOST_FORESEEN = 0.3, 0.5
+"""The same of a law that is told as a description where the time is up, and of one that scenes which
+are left out in turn bear out."""
 ALL_IN_TIME = 1e-3
 """The same of one that is adopted all the same."""
 MOST_HELD = 3
@@ -445,7 +447,8 @@ class _Turn:
 
         What was not looked at might have changed it. A law that leaves nothing is adopted all the
         same, though not as fact: of what was proposed, all that promised more was fitted before it.
-        One that leaves little of the motion describes it, and is told as that.
+        One that leaves little of the motion, or is foreseen by other scenes, describes it, and is
+        told as that.
         """
         if not self.left_out:
             return decision
@@ -456,7 +459,8 @@ class _Turn:
         )
         if is_all:
             return replace(decision, is_fact=False)
-        if stands and decision.best.left < MOST_IN_TIME * self.rows[0].left:
+        most = MOST_FORESEEN if stands and is_foreseen(decision.best) else MOST_IN_TIME
+        if stands and decision.best.left < most * self.rows[0].left:
             return replace(decision, verdict="effective law", reason="time_is_up", is_fact=False)
         return replace(
             decision, verdict="cannot tell", reason="time_is_up", is_adopted=False, is_fact=False
@@ -1152,14 +1156,14 @@ class _Turn:
             self.judged[len(self.rows)] = (level / told) ** 2 * best.chi2_red
         self.fits[len(self.rows)] = new
         status = "idle" if self._is_idle(proposal, new) else new.status
-        is_less = self.rows[0].is_fit and not new.is_failed and _is_less(self.base, best)
+        more = _more_under(self.base.noise, best) if self.base.shows_tracks else 0.0
+        is_less = self.rows[0].is_fit and not new.is_failed and _is_less(self.base, best, more)
         # What takes the motion itself for noise explains nothing better than any law.
         is_less = is_less and self.swamped <= SWAMPED
         if is_less or self._is_open_series(proposal, new):
             status = "less"
         # Kicks have every row told by those before it, and no rows of a fit to be compared.
         held_out = HeldOut() if proposal.is_last else held_out_gain(self.base, best)
-        more = _more_under(self.base.noise, best) if self.base.shows_tracks else 0.0
         return self._add(
             source, proposal, status, evidence + more, best.log_likelihood + more, best.n_free,
             held_out, self._twin(source, proposal, best),
@@ -1308,8 +1312,10 @@ def _more_under(noise, found):
     return max(float(more), 0.0)
 
 
-def _is_less(base, found):
+def _is_less(base, found, more=0.0):
     """Whether a wider hypothesis explains the same rows worse than the one that it extends.
+
+    `more` nats are added to its own, of another noise.
 
     Its maximum cannot lie lower: it has come to another minimum, in which what was declared counts
     for little. Such a one may be likelier because it says less of its numbers; it tells nothing of
@@ -1322,7 +1328,7 @@ def _is_less(base, found):
 
     if found.n_rows != base.n_rows or not numbers(base) <= numbers(found):
         return False
-    return found.log_likelihood < base.log_likelihood - SAME_MINIMUM
+    return found.log_likelihood + more < base.log_likelihood - SAME_MINIMUM
 
 
 def _is_hopeless(proposal, broken):
