@@ -337,13 +337,15 @@ class _Problem:
             errors = part.forecast(model, moves, push, self.guess["fastest"],
                                    FARTHEST * self.guess["extent"])[3:]  # fmt: skip
             every.append(errors)
+            if len(errors) <= lags:  # of so short a part no memory is told
+                continue
             size_ = np.square(errors).sum(axis=0)
             for lag in range(1, lags + 1):
                 along = (errors[lag:] * errors[:-lag]).sum(axis=0) / size_
                 weight = len(errors) ** 2 / (len(errors) - lag)
                 squares[lag - 1] += weight * np.square(along).sum()
             count += errors.shape[1]
-        white = chi2.sf(squares.sum(), lags * count)
+        white = chi2.sf(squares.sum(), lags * count) if count else 1.0
         every = np.concatenate([e.ravel() for e in every])
         # Where steps are less sure at times (beads out of focus) tails are a little heavy.
         normal = kurtosistest(every).pvalue if abs(kurtosis(every)) > MILD else 1.0

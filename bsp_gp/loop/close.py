@@ -15,6 +15,7 @@ from bsp_gp.data.blocks import in_blocks
 from bsp_gp.data.flat import held_flat
 from bsp_gp.data.logged import asked_of
 from bsp_gp.data.noise import estimate_noise
+from bsp_gp.data.parts import part_of
 from bsp_gp.data.scene import Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.data.stretches import in_stretches
@@ -44,6 +45,7 @@ from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop import writing_up
 from bsp_gp.loop.accounts import Accounts
 from bsp_gp.loop.backward import prune
+from bsp_gp.loop.carried import carried
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.constancy import Constancy, constancy
 from bsp_gp.loop.criteria import VERDICTS, Criteria
@@ -71,6 +73,8 @@ from bsp_gp.workers import Crew
 
 LATE_S = 3.0
 """Seconds after a time limit that errors on held-out rows may take; then they are left out."""
+AGAIN = 0.5
+"""Part of the time for a part of the rows that all take, a row, with what was found there."""
 FIRST_LOOK = 0.6
 """Part of the time for a first look at bodies that bounce, behind which flights are followed."""
 WRITING_SHARE = 0.25
@@ -154,8 +158,8 @@ def close_loop(
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
     (
         split_rng, round_rng, account_rng, swapped_rng, asked_rng, foresight_rng, parts_rng,
-        flights_rng, retraced_rng,
-    ) = generator(rng).spawn(9)  # fmt: skip
+        flights_rng, retraced_rng, few_rng,
+    ) = generator(rng).spawn(10)  # fmt: skip
     crew = Crew(workers, needs=run_rounds)
     says("reading the data set")
     known = {"t", *dataset.logged}
@@ -186,18 +190,15 @@ def close_loop(
             **more,
         )
 
-    says("fitting the declared model")
-    begun = ready.begin(starts, bounds, clock)
-    if not all_rows:
-        ready, begun = _in_parts(
-            ready, begun, declared, parts_rng, (starts, bounds, clock), criteria
-        )
-    if earlier is not None:
-        earlier = rounds_from(
-            earlier, ready.hypothesis, ready.train, begun, bounds=bounds, criteria=criteria
-        )
     left = None if time_limit is None else time_limit - (time.monotonic() - began)
     until = Clock(None if left is None else left + LATE_S)
+    how = starts, bounds, clock
+
+    def begin(ready, rng):
+        begun = ready.begin(*how)
+        if all_rows or any(scene.part_of for scene in ready.dataset.scenes):
+            return ready, begun  # no hand throws what goes on from another part
+        return _in_parts(ready, begun, declared, rng, how, criteria)
 
     def first_look(ready, rng, begun, rng_ahead, **more):
         foreseen: dict = {}
@@ -208,13 +209,42 @@ def close_loop(
         more |= {"is_refused": ahead.refuses, "instead": ahead.instead}
         return look(ready, rng, begun, **more), ahead, foreseen
 
+    few = part_of(ready.dataset) if earlier is None and not all_rows else None
+    of_few, is_all = None, True
+    if few is not None and not ready.bounces:
+        says("looking at a part of the rows")
+        since, (begin_rng, look_rng, ahead_rng) = time.monotonic(), few_rng.spawn(3)
+        small, begun = begin(_Ready(few, declared, begin_rng), begin_rng)
+        of_few = first_look(small, look_rng, begun, ahead_rng)
+        times = _n_rows(ready.train) / _n_rows(small.train)
+        needed = AGAIN * times * (time.monotonic() - since)
+        is_all = clock.left is None or clock.left > needed
+    if is_all:
+        says("fitting the declared model")
+        ready, begun = begin(ready, parts_rng)
+    if earlier is not None:
+        earlier = rounds_from(
+            earlier, ready.hypothesis, ready.train, begun, bounds=bounds, criteria=criteria
+        )
+    elif of_few is not None and is_all:
+        says("fitting what was found in a part to all rows")
+        earlier = carried(
+            of_few[0], ready.hypothesis, ready.train, begun, criteria=criteria, bounds=bounds,
+            clock=clock,
+        )  # fmt: skip
+        for done in earlier if on_round is not None else ():
+            on_round(done)
+
     # Where a body bounces it may have to be followed anew, from wall to wall.
-    may_fly = not all_rows and lacks(begun, ready.noise.sigma) and ready.bounces
+    may_fly = is_all and not all_rows and lacks(begun, ready.noise.sigma) and ready.bounces
     flights = in_flights(ready.dataset) if may_fly else None
-    rounds, foresight, foreseen = first_look(
-        ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier,
-        clock=clock if flights is None else clock.share(FIRST_LOOK),
-    )
+    if is_all:
+        rounds, foresight, foreseen = first_look(
+            ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier,
+            clock=clock if flights is None else clock.share(FIRST_LOOK),
+        )
+    else:
+        ready, (rounds, foresight, foreseen) = small, of_few
     if flights is not None and not clock.is_over and _asks_flights(rounds, ready.noise.sigma):
         says("following flights from wall to wall")
         other, rng_split = _Ready(flights, declared, flights_rng), flights_rng.spawn(2)
@@ -251,6 +281,7 @@ def close_loop(
     )
     left_out = [code for done in rounds for code in done.left_out]
     left_out += ["held_out"] if is_cut else []
+    left_out += [] if is_all else ["rows"]
     left_out += [] if pruned.is_complete else ["removal"]
     left_out += written.pop("left_out")
     return LoopReport(
@@ -267,6 +298,11 @@ def close_loop(
         n_fits=sum(len(done.fits) - 1 for done in rounds) + 1 + pruned.n_fits,
         versions=writing_up.versions(), wall_s=time.monotonic() - began, **written,
     )  # fmt: skip
+
+
+def _n_rows(dataset):
+    """Rows of all bodies that move."""
+    return sum(len(scene.times) * len(scene.dynamic) for scene in dataset.scenes)
 
 
 def _words(declared):

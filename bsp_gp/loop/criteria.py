@@ -39,7 +39,7 @@ half, beside a steady push; "season": orbits of which one has the period of the 
 "alias": or one that looks alike to who looks once a day;
 "passage": a velocity that jumps in the sky; "undetermined": each of its strengths may be nothing
 (several forces of which the data tell the sum)."""
-LEFT_OUT = ("proposers", "fits", "held_out", "removal", "intervals", "errors")
+LEFT_OUT = ("rows", "proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""
 STOP_REASONS = (
     "nothing_left", "nothing_adopted", "most_rounds", "many_causes", "time_is_up", "failed",

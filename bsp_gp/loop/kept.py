@@ -28,7 +28,7 @@ def text_of(rounds):
     """Rounds as JSON text."""
     out = []
     for done in rounds:
-        told = _told(done)
+        told = told_rows(done)
         kept = {
             "hypotheses": {k: done.hypotheses[k] for k in told},
             "proposals": {k: done.proposals[k] for k in told},
@@ -40,7 +40,7 @@ def text_of(rounds):
     return json.dumps(out)
 
 
-def _told(done):
+def told_rows(done):
     """Numbers of the hypotheses of which a report tells the law or the constants."""
     best = done.decision.best
     likely = (row.id for row in done.table.rows if row.probability >= LEAST_LIKELY)

@@ -72,8 +72,8 @@ MOST_LEFT = 0.3
 MOST_BESIDE = 0.1
 """Part of what a law leaves, up to which a rod or a rail leaves little."""
 MOST_IN_TIME, MOST_FORESEEN = 0.3, 0.5
-"""The same of a law that is told as a description where the time is up, and of one that scenes which
-are left out in turn bear out."""
+"""The same of a law that is told as a description where the time is up, and of one that scenes
+which are left out in turn bear out."""
 ALL_IN_TIME = 1e-3
 """The same of one that is adopted all the same."""
 MOST_HELD = 3
@@ -452,15 +452,17 @@ class _Turn:
         """
         if not self.left_out:
             return decision
+        moved = self.rows[0].left
+        moved = moved if math.isfinite(moved) else _extent(self.run.dataset)
         stands = decision.is_adopted and set(self.left_out) <= {"fits", "proposers"}
         is_all = stands and (
-            decision.best.left < ALL_IN_TIME * self.rows[0].left
+            decision.best.left < ALL_IN_TIME * moved
             or any(key == decision.best.id for key, *_ in self.leaving_nothing)
         )
         if is_all:
             return replace(decision, is_fact=False)
         most = MOST_FORESEEN if stands and is_foreseen(decision.best) else MOST_IN_TIME
-        if stands and decision.best.left < most * self.rows[0].left:
+        if stands and decision.best.left < most * moved:
             return replace(decision, verdict="effective law", reason="time_is_up", is_fact=False)
         return replace(
             decision, verdict="cannot tell", reason="time_is_up", is_adopted=False, is_fact=False
@@ -1257,6 +1259,14 @@ def _swamped(found, dataset):
     """
     if found.law.terms or not found.noise.correlated:
         return 0.0
+    moved = _extent(dataset)
+    sizes = np.nan_to_num(np.array(found.noise.levels), posinf=0.0)
+    size = math.sqrt(found.noise.correlated) * float(np.linalg.norm(sizes))
+    return size / moved if moved else 0.0
+
+
+def _extent(dataset):
+    """How far bodies are off the middles of their tracks, root mean square, m."""
     moved = count = 0.0
     for scene in dataset.scenes:
         for track in np.moveaxis(scene.positions[:, scene.dynamic], 1, 0):
@@ -1264,9 +1274,7 @@ def _swamped(found, dataset):
             if not len(seen):
                 continue
             moved, count = moved + float(seen.var(axis=0).sum()) * len(seen), count + len(seen)
-    sizes = np.nan_to_num(np.array(found.noise.levels), posinf=0.0)
-    size = math.sqrt(found.noise.correlated) * float(np.linalg.norm(sizes))
-    return size / math.sqrt(moved / count) if moved else 0.0
+    return math.sqrt(moved / count) if moved else 0.0
 
 
 def _fit_of(shared, job):

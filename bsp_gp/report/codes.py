@@ -138,6 +138,7 @@ STOPS = {
     "failed": "the declared model could not be fitted",
 }
 LEFT_OUT = {
+    "rows": "causes were looked for in a part of the rows only",
     "proposers": "some kinds of causes were not looked for",
     "fits": "some causes were not fitted",
     "held_out": "what acts in held-out scenes alone was not looked for",

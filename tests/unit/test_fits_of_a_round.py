@@ -22,7 +22,7 @@ def test_fits_are_no_more_than_asked_for_where_families_give_up(monkeypatch):
     hypothesis = Hypothesis.from_laws(data, ())
     run = SimpleNamespace(
         criteria=Criteria(most_fits=4), dataset=data, bounds={}, clock=Clock(None), proposers=(),
-        says=lambda text: None, usual=(),
+        says=lambda text: None, is_usual=lambda proposal: False,
     )  # fmt: skip
     turn, fitted = _Turn(run, fit(hypothesis, data), hypothesis), []
     for name, count in (("a", 12), ("b", 30)):

@@ -151,6 +151,7 @@ def _alone(name, tracks, up=""):
     if not _swings(tracks, axes[0]) and bend < ARC * level:
         return None  # of a track that is thrown, noise makes an arc
     is_about = spread <= NEARLY * np.ptp(places[seen], axis=0).max() and _swings(tracks, axes[0])
+    is_about &= spread < CLOSER * bend  # a circle that follows a track as a line does is none
     if bend < BENT * level or not (is_about or _is_constant(spread, level, places[seen])):
         return curve if bend > BENT * level else None
     stems = tuple(f"pivot_{axis}" for axis in "xyz"[: len(centre)])
