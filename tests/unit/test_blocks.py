@@ -107,3 +107,12 @@ def test_rounded_tracks_are_left_as_they_are():
     scene = replace(data.scenes[0], positions=np.round(data.scenes[0].positions, 2))
     data = replace(data, scenes=(scene,))
     assert in_blocks(data, 400) is data
+
+
+def test_what_wanders_is_not_averaged_over_two_rows():
+    """Two rows always lie on a line: means of them had a memory that no noise has."""
+    rng = np.random.default_rng(4)
+    places = np.cumsum(0.1 * rng.standard_normal((2000, 1, 2)), axis=0)
+    places += 0.02 * rng.standard_normal(places.shape)
+    scene = Scene("a", 0.01 * np.arange(2000), places, (Entity("bead", properties={"mass": 1.0}),))
+    assert in_blocks(Dataset("d", (scene,))).scenes[0] is scene

@@ -1,5 +1,6 @@
 """Which proposals of a round are fitted, and how many."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,9 +11,9 @@ from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import Decision
-from bsp_gp.loop.loop import _Turn
+from bsp_gp.loop.loop import _is_less, _Turn
 from bsp_gp.loop.proposal import Family, Proposal
-from bsp_gp.loop.table import Row
+from bsp_gp.loop.table import HeldOut, Row
 from tests.throws import throws
 
 
@@ -92,3 +93,33 @@ def test_what_was_not_asked_is_told_though_all_is_asked_under_other_noise():
     turn.note = turn.left_out.append
     _Turn.ask_without_memory(turn, 1, SimpleNamespace(in_white=lambda: (None, 0.0)))
     assert turn.left_out == ["proposers"] and not turn.unasked
+
+
+@pytest.mark.parametrize("part, kept, verdict", [
+    (0.2, 0.0, "effective law"), (0.4, 0.0, "cannot tell"), (0.4, 0.99, "effective law"),
+    (0.6, 0.99, "cannot tell"),
+])  # fmt: skip
+def test_where_the_time_is_up_a_law_that_other_scenes_bear_out_describes(part, kept, verdict):
+    data = throws(n_scenes=3, n_times=12)
+    hypothesis = Hypothesis.from_laws(data, ())
+    run = SimpleNamespace(criteria=Criteria(), proposers=(), dataset=data)
+    turn = _Turn(run, fit(hypothesis, data), hypothesis)
+    turn.left_out = ["fits"]
+    told = HeldOut(kept * 1000.0, 1.0, 1000.0)
+    best = Row(1, "law", "c * v_i", "laws", "converged", 5.0, 0.0, 5.0, 1, held_out=told,
+               left=part * turn.rows[0].left)  # fmt: skip
+    assert turn.in_time(Decision("effect adopted", "adopted", best, True)).verdict == verdict
+    lost = replace(turn.rows[0], left=math.nan)  # then by how far bodies move
+    turn.rows[0] = lost
+    far = replace(best, left=100.0)
+    assert turn.in_time(Decision("effect adopted", "adopted", far, True)).verdict == "cannot tell"
+
+
+def test_a_law_is_not_less_for_noise_that_was_not_fitted_beside_it():
+    """Sums of a gyroscope: under a noise of its own a pendulum was less likely than no law."""
+    data = throws(n_scenes=3, n_times=12)
+    base = fit(Hypothesis.from_laws(data, ()), data)
+    size = abs(base.log_likelihood)
+    found = replace(base, log_likelihood=base.log_likelihood - size)
+    assert _is_less(base, found) and _is_less(base, found, 0.5 * size)
+    assert not _is_less(base, found, 1.5 * size)

@@ -1,6 +1,7 @@
 """Laws of textbooks that explain all tracks but one, which hides them from a search by all."""
 
-from itertools import chain, combinations
+from itertools import combinations
+from operator import itemgetter
 
 import numpy as np
 
@@ -11,7 +12,7 @@ LEAST_TRACKS = 4
 MOST_OF_ALL = 0.5
 """Part of all that is missing that an odd track has, and more."""
 LEFT = 0.02
-"""Part of what is missing in the others that a law which explains them leaves, at the most."""
+"""Part of what is missing in the others that a law which explains them leaves beside noise."""
 
 
 def without_odd_track(view, candidates, column_of):
@@ -44,18 +45,22 @@ def without_odd_track(view, candidates, column_of):
         return nothing
     columns = view.beside(np.stack([column_of(c.formula) for c in candidates], axis=1))
     columns, left = columns[of_row != odd], view.left[of_row != odd]
-    total, best = float(left @ left), (-np.inf, *nothing[:3])
-    numbers = range(len(candidates))
-    for chosen in chain(combinations(numbers, 1), combinations(numbers, 2)):
-        own = columns[:, chosen]
-        amounts = np.linalg.lstsq(own, left, rcond=1e-10)[0]
-        gain = total - float(np.square(left - own @ amounts).sum())
-        promise = 0.5 * gain - sum(candidates[k].complexity for k in chosen)
-        if total - gain < LEFT * total and promise > best[0]:
-            best = promise, tuple(candidates[k] for k in chosen), amounts, gain
-    _, chosen, amounts, gain = best
-    cut = _cut(view, *owners[odd]) if chosen else None
-    return nothing if cut is None else (chosen, amounts, gain + float(missing[odd]), cut)
+    total, found = float(left @ left), []
+    for size in (1, 2):
+        for chosen in combinations(range(len(candidates)), size):
+            own = columns[:, chosen]
+            amounts = np.linalg.lstsq(own, left, rcond=1e-10)[0]
+            gain = total - float(np.square(left - own @ amounts).sum())
+            cost = sum(candidates[k].complexity for k in chosen)
+            if total - gain - len(left) < LEFT * total:
+                found.append((0.5 * gain - cost, chosen, amounts, gain))
+        if found:  # two only where none does alone
+            break
+    cut = _cut(view, *owners[odd]) if found else None
+    if cut is None:
+        return nothing
+    _, chosen, amounts, gain = max(found, key=itemgetter(0))
+    return tuple(candidates[k] for k in chosen), amounts, gain + float(missing[odd]), cut
 
 
 def _tracks(batches):
