@@ -20,7 +20,7 @@ from bsp_gp.data.scene import Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.data.stretches import in_stretches
 from bsp_gp.data.torn import without_torn_ends
-from bsp_gp.errors import SettingsError
+from bsp_gp.errors import DataError, SettingsError
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.followed import about_ends, about_lost, followed
 from bsp_gp.fitting.hands import without_hands
@@ -194,11 +194,9 @@ def close_loop(
     until = Clock(None if left is None else left + LATE_S)
     how = starts, bounds, clock
 
-    def begin(ready, rng):
+    def begin(ready, rng, is_cut=all_rows):
         begun = ready.begin(*how)
-        if all_rows or any(scene.part_of for scene in ready.dataset.scenes):
-            return ready, begun  # no hand throws what goes on from another part
-        return _in_parts(ready, begun, declared, rng, how, criteria)
+        return (ready, begun) if is_cut else _in_parts(ready, begun, declared, rng, how, criteria)
 
     def first_look(ready, rng, begun, rng_ahead, **more):
         foreseen: dict = {}
@@ -209,13 +207,15 @@ def close_loop(
         more |= {"is_refused": ahead.refuses, "instead": ahead.instead}
         return look(ready, rng, begun, **more), ahead, foreseen
 
-    few = part_of(ready.dataset) if earlier is None and not all_rows else None
-    of_few, is_all = None, True
-    if few is not None and not ready.bounces:
+    begin_rng, look_rng, ahead_rng = few_rng.spawn(3)
+    small = _part_of(ready, declared, begin_rng) if earlier is None and not all_rows else None
+    part, is_all = None, True
+    if small is not None:
         says("looking at a part of the rows")
-        since, (begin_rng, look_rng, ahead_rng) = time.monotonic(), few_rng.spawn(3)
-        small, begun = begin(_Ready(few, declared, begin_rng), begin_rng)
-        of_few = first_look(small, look_rng, begun, ahead_rng)
+        since = time.monotonic()
+        is_cut = any(scene.part_of for scene in small.dataset.scenes)  # no hand throws a window
+        small, begun = begin(small, begin_rng, is_cut)
+        part = (small, *first_look(small, look_rng, begun, ahead_rng))
         times = _n_rows(ready.train) / _n_rows(small.train)
         needed = AGAIN * times * (time.monotonic() - since)
         is_all = clock.left is None or clock.left > needed
@@ -226,25 +226,26 @@ def close_loop(
         earlier = rounds_from(
             earlier, ready.hypothesis, ready.train, begun, bounds=bounds, criteria=criteria
         )
-    elif of_few is not None and is_all:
+    elif part is not None and is_all:
         says("fitting what was found in a part to all rows")
         earlier = carried(
-            of_few[0], ready.hypothesis, ready.train, begun, criteria=criteria, bounds=bounds,
+            part[1], ready.hypothesis, ready.train, begun, criteria=criteria, bounds=bounds,
             clock=clock,
         )  # fmt: skip
-        for done in earlier if on_round is not None else ():
-            on_round(done)
+        if on_round is not None:
+            for done in earlier:
+                on_round(done)
 
     # Where a body bounces it may have to be followed anew, from wall to wall.
     may_fly = is_all and not all_rows and lacks(begun, ready.noise.sigma) and ready.bounces
     flights = in_flights(ready.dataset) if may_fly else None
-    if is_all:
+    if part is None or is_all:
         rounds, foresight, foreseen = first_look(
             ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier,
             clock=clock if flights is None else clock.share(FIRST_LOOK),
         )
     else:
-        ready, (rounds, foresight, foreseen) = small, of_few
+        ready, rounds, foresight, foreseen = part
     if flights is not None and not clock.is_over and _asks_flights(rounds, ready.noise.sigma):
         says("following flights from wall to wall")
         other, rng_split = _Ready(flights, declared, flights_rng), flights_rng.spawn(2)
@@ -298,6 +299,21 @@ def close_loop(
         n_fits=sum(len(done.fits) - 1 for done in rounds) + 1 + pruned.n_fits,
         versions=writing_up.versions(), wall_s=time.monotonic() - began, **written,
     )  # fmt: skip
+
+
+def _part_of(ready, declared, rng):
+    """A part of the rows of a large data set as fits take it; None where all are looked at at once.
+
+    Nor is one taken of bodies that bounce, which are followed from wall to wall, or where nothing
+    moves in it.
+    """
+    few = part_of(ready.dataset)
+    if few is None or ready.bounces:
+        return None
+    try:
+        return _Ready(few, declared, rng)
+    except DataError:
+        return None
 
 
 def _n_rows(dataset):
