@@ -21,7 +21,7 @@ def part_of(dataset):
     None as well where recordings may not be cut, or where it is declared what is held out.
     """
     n_bodies = max((len(scene.dynamic) for scene in dataset.scenes), default=1)
-    n_rows = sum(len(scene.times) * len(scene.dynamic) for scene in dataset.scenes)
+    n_rows = rows_of(dataset.scenes)
     is_declared = bool(dataset.train or dataset.test)
     if is_declared or n_rows <= 2 * MOST_ROWS or not may_be_cut(dataset):
         return None
@@ -36,6 +36,11 @@ def part_of(dataset):
         return None
     chosen = np.unique(np.linspace(0, len(cut.scenes) - 1, wanted).round().astype(int))
     scenes = tuple(cut.scenes[k] for k in chosen)
-    n_few = sum(len(scene.times) * len(scene.dynamic) for scene in scenes)
+    n_few = rows_of(scenes)
     note = f"{CHECK}there was time for {n_few:,} of {n_rows:,} rows, in {len(scenes)} parts"
     return replace(cut, scenes=scenes, notes=(*dataset.notes, note))
+
+
+def rows_of(scenes):
+    """Rows of all bodies that move."""
+    return sum(len(scene.times) * len(scene.dynamic) for scene in scenes)

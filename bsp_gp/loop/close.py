@@ -15,7 +15,7 @@ from bsp_gp.data.blocks import in_blocks
 from bsp_gp.data.flat import held_flat
 from bsp_gp.data.logged import asked_of
 from bsp_gp.data.noise import estimate_noise
-from bsp_gp.data.parts import part_of
+from bsp_gp.data.parts import part_of, rows_of
 from bsp_gp.data.scene import Dataset
 from bsp_gp.data.split import choose_split
 from bsp_gp.data.stretches import in_stretches
@@ -216,7 +216,7 @@ def close_loop(
         is_cut = any(scene.part_of for scene in small.dataset.scenes)  # no hand throws a window
         small, begun = begin(small, begin_rng, is_cut)
         part = (small, *first_look(small, look_rng, begun, ahead_rng))
-        times = _n_rows(ready.train) / _n_rows(small.train)
+        times = rows_of(ready.train.scenes) / rows_of(small.train.scenes)
         needed = AGAIN * times * (time.monotonic() - since)
         is_all = clock.left is None or clock.left > needed
     if is_all:
@@ -314,11 +314,6 @@ def _part_of(ready, declared, rng):
         return _Ready(few, declared, rng)
     except DataError:
         return None
-
-
-def _n_rows(dataset):
-    """Rows of all bodies that move."""
-    return sum(len(scene.times) * len(scene.dynamic) for scene in dataset.scenes)
 
 
 def _words(declared):

@@ -8,6 +8,7 @@ from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.proposers.laws import Laws
+from bsp_gp.loop.proposers.odd_tracks import without_odd_track
 from tests.fitted_tracks import body, dataset_of, scene_of
 from tests.loop_views import view_of
 
@@ -48,3 +49,8 @@ def test_a_law_that_explains_all_tracks_but_one_is_proposed_with_that_one_cut():
 @pytest.mark.parametrize("data", [pushed(odd=None), pushed(odd=0, n_scenes=3)])
 def test_no_track_is_cut_where_none_is_odd_or_they_are_few(data):
     assert not without_one(data)
+
+
+def test_a_grammar_without_laws_of_textbooks_has_none_to_propose():
+    chosen, _, gain, cut = without_odd_track(view_of(pushed(odd=3), "nothing"), [], None)
+    assert chosen == () and gain == 0.0 and cut is None

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bsp_gp.data.parts import rows_of
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.defects import LeftOut, Shifted
@@ -68,7 +69,7 @@ class Defects:
         parts, excess, swapped, n_swaps = swaps(view)
         still, theirs, stands = stuck(view)
         closed, gained, jumps = put_forward(view)
-        n_still = n_tried or sum(len(s.times) * len(s.dynamic) for s in view.dataset.scenes)
+        n_still = n_tried or rows_of(view.dataset.scenes)
         kinds = [
             ("swapped_tracks", parts, excess, n_swaps),
             ("lost_track", still, theirs, n_still),

@@ -41,7 +41,8 @@ def without_odd_track(view, candidates, column_of):
     owners, of_row = _tracks(view.response.regression.batches)
     missing = np.bincount(of_row, np.square(view.left), len(owners))
     odd = int(missing.argmax())
-    if len(owners) < LEAST_TRACKS or not missing[odd] > MOST_OF_ALL * missing.sum():
+    is_odd = len(owners) >= LEAST_TRACKS and missing[odd] > MOST_OF_ALL * missing.sum()
+    if not (candidates and is_odd):
         return nothing
     columns = view.beside(np.stack([column_of(c.formula) for c in candidates], axis=1))
     columns, left = columns[of_row != odd], view.left[of_row != odd]
