@@ -17,6 +17,7 @@ from bsp_gp.errors import ResourceError, SettingsError
 MOST_KNOWN = 2
 """Shared values that a worker keeps."""
 _PR_SET_PDEATHSIG = 1
+_PATIENCE = 5.0  # seconds that a pool has to put itself away
 _NUMBERS = itertools.count()
 _KNOWN: dict = {}
 """Shared values of this process, if it is a worker."""
@@ -300,7 +301,7 @@ def worker_pool(n_workers, *, own_process=False):
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
 
-    before = set(multiprocessing.active_children())
+    before, threads = set(multiprocessing.active_children()), set(threading.enumerate())
     # The system's signal at the parent's death is one at the death of the thread that started us.
     by_system = threading.current_thread() is threading.main_thread()
     pool = ProcessPoolExecutor(
@@ -318,6 +319,10 @@ def worker_pool(n_workers, *, own_process=False):
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(multiprocessing.active_children()) - before:
             process.terminate()
+        # The interpreter's end would wake the pool's thread while that one closes its pipe.
+        for thread in set(threading.enumerate()) - threads:
+            if not thread.daemon:
+                thread.join(_PATIENCE)
 
 
 def python_path():

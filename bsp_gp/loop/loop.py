@@ -668,6 +668,7 @@ class _Turn:
             if max(nats for nats, _ in known.values()) > least[source] + FAR_BEHIND
         }  # fmt: skip
         self._tell_near(every, above, highest, off)
+        self._fit_foreseen()
         self._fit_part()
 
     @property
@@ -681,16 +682,34 @@ class _Turn:
         fitted = (row for row in self.rows[1:] if row.is_fit and row.id in self.proposals)
         return max(fitted, key=lambda row: row.log_posterior, default=None)
 
+    def _fit_foreseen(self):
+        """Fit what is foreseen to be likelier than all that was fitted, with fewer numbers.
+
+        A law whose rest point the data put at the origin is one without a rest point.
+        """
+        best = self._likeliest
+        simpler = [
+            row for row in self.rows[1:] if best and row.status == "scored"
+            and row.source == best.source and row.n_free < best.n_free
+        ]  # fmt: skip
+        row = max(simpler, key=lambda row: row.log_posterior, default=None)
+        if row is not None and row.log_posterior > best.log_posterior:
+            self._fit_scored(row)
+
     def _fit_part(self):
         """Fit what would be taken in the place of the likeliest sum, where it was scored only."""
         best = self._likeliest
-        if best is None or best.n_terms < 2 or self.note_time("fits"):
+        if best is None or best.n_terms < 2:
             return
         part = part_of(best, self.rows[1:], self.run.criteria)
         if part.status == "scored":
-            proposal = self.proposals[part.id]
+            self._fit_scored(part)
+
+    def _fit_scored(self, row):
+        if not self.note_time("fits"):
+            proposal = self.proposals[row.id]
             self.run.says(f"fit of a part: {proposal.text}")
-            self._fitted(part.source, proposal, _fit_of(self._shared, (part.source, proposal)))
+            self._fitted(row.source, proposal, _fit_of(self._shared, (row.source, proposal)))
 
     def share_noise(self):
         """Tell what leaves less than the likeliest cause under its noise, where it is likelier so.

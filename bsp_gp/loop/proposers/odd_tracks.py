@@ -30,7 +30,8 @@ def without_odd_track(view, candidates, column_of):
     Returns
     -------
     chosen : tuple of Candidate
-        Empty where no track is odd, or none of them explains the others.
+        Empty where no track is odd, none of them explains the others, or those that do explain the
+        odd one too.
     amounts : ndarray, shape (len(chosen),)
     gain : float
         All that is missing in the odd track among it.
@@ -44,24 +45,37 @@ def without_odd_track(view, candidates, column_of):
     is_odd = len(owners) >= LEAST_TRACKS and missing[odd] > MOST_OF_ALL * missing.sum()
     if not (candidates and is_odd):
         return nothing
-    columns = view.beside(np.stack([column_of(c.formula) for c in candidates], axis=1))
-    columns, left = columns[of_row != odd], view.left[of_row != odd]
-    total, found = float(left @ left), []
+    every = view.beside(np.stack([column_of(c.formula) for c in candidates], axis=1))
+    columns, left = every[of_row != odd], view.left[of_row != odd]
+    found = []
     for size in (1, 2):
         for chosen in combinations(range(len(candidates)), size):
-            own = columns[:, chosen]
-            amounts = np.linalg.lstsq(own, left, rcond=1e-10)[0]
-            gain = total - float(np.square(left - own @ amounts).sum())
-            cost = sum(candidates[k].complexity for k in chosen)
-            if total - gain - len(left) < LEFT * total:
+            amounts, gain = _explained(columns[:, chosen], left)
+            if _is_explained(left, gain):
+                cost = sum(candidates[k].complexity for k in chosen)
                 found.append((0.5 * gain - cost, chosen, amounts, gain))
         if found:  # two only where none does alone
             break
-    cut = _cut(view, *owners[odd]) if found else None
-    if cut is None:
+    if not found:
         return nothing
     _, chosen, amounts, gain = max(found, key=itemgetter(0))
+    if _is_explained(view.left, _explained(every[:, chosen], view.left)[1]):
+        return nothing
+    cut = _cut(view, *owners[odd])
+    if cut is None:
+        return nothing
     return tuple(candidates[k] for k in chosen), amounts, gain + float(missing[odd]), cut
+
+
+def _explained(columns, left):
+    """Amounts of some columns that explain most of what is left, and how much that is."""
+    amounts = np.linalg.lstsq(columns, left, rcond=1e-10)[0]
+    return amounts, float(left @ left - np.square(left - columns @ amounts).sum())
+
+
+def _is_explained(left, gain):
+    total = float(left @ left)
+    return total - gain - len(left) < LEFT * total
 
 
 def _tracks(batches):
