@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 from bsp_gp.loop.criteria import Criteria
-from bsp_gp.loop.loop import _Turn
+from bsp_gp.loop.turn import Turn
 
 NOTHING = {False: 0.0, True: 0.0}
 
@@ -17,7 +17,7 @@ def is_behind(
     )  # fmt: skip
     kind = {"kind": "force", "is_afresh": False, **more}
     proposal = SimpleNamespace(promise=promise, gain=gain, **kind)
-    return _Turn._is_behind(turn, proposal, measures)
+    return Turn.is_behind(turn, proposal, measures)
 
 
 def test_a_law_that_explains_all_that_moments_miss_is_fitted_whatever_a_rod_has_gained():

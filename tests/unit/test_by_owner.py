@@ -13,7 +13,7 @@ from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.loop.criteria import Criteria
-from bsp_gp.loop.loop import _with_one_strength
+from bsp_gp.loop.forms import with_one_strength
 from bsp_gp.loop.proposal import Proposal
 from bsp_gp.loop.proposers.by_owner import ByOwner
 from bsp_gp.loop.view import selected
@@ -173,8 +173,8 @@ def test_a_strength_for_each_scene_has_one_for_all_beside_it():
     own = Proposal("law_by_scene", "", base, -6.0, 9.0, 3, formulas=(formulas["c1[scene]"],))
     table = {"1": 1.0, "2": 1.1, "3": 5.0}
     found = SimpleNamespace(law=ForceLaw((), {"c1[scene]": table}))
-    shared = _with_one_strength(own, base, found, Criteria())
+    shared = with_one_strength(own, base, found, Criteria())
     assert shared.code == "law" and shared.formulas == (formulas["c1"],)
     assert shared.starts == {"c1": 1.1} and shared.rank == 1
     assert shared.log_prior == own.log_prior + Criteria().cause_nats
-    assert _with_one_strength(shared, base, found, Criteria()) is None
+    assert with_one_strength(shared, base, found, Criteria()) is None

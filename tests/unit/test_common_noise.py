@@ -11,8 +11,9 @@ from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.student import log_likelihood
-from bsp_gp.loop.loop import _more_under, _Turn
+from bsp_gp.loop.rows import more_under
 from bsp_gp.loop.table import Row
+from bsp_gp.loop.turn import Turn
 from tests.throws import SI
 
 
@@ -31,14 +32,14 @@ def found(chi2_red, levels, is_failed=False, is_free=True):
 
 def test_more_noise_is_no_likelier_than_the_likeliest():
     base = noise(4.0, 2.0)
-    more = _more_under(base, found(4.0, (1.0, 0.5)))  # the likeliest is twice as much
+    more = more_under(base, found(4.0, (1.0, 0.5)))  # the likeliest is twice as much
     assert more == pytest.approx(200 * (1.5 - math.log(2)))
     height = [-100 * 4 / s**2 - 200 * math.log(s) for s in np.linspace(1, 4, 301)]
     assert more == pytest.approx(max(height) - height[0])
 
 
 def test_it_has_no_more_than_the_law_without_the_cause():
-    more = _more_under(noise(1.5, 1.5), found(9.0, (1.0, 1.0)))
+    more = more_under(noise(1.5, 1.5), found(9.0, (1.0, 1.0)))
     assert more == pytest.approx(100 * 9 * (1 - 1.5**-2) - 200 * math.log(1.5))
 
 
@@ -51,7 +52,7 @@ def test_it_has_no_more_than_the_law_without_the_cause():
     ],
 )  # fmt: skip
 def test_nothing_is_gained_where_all_is_explained_or_the_noise_known(base, fit):
-    assert _more_under(base, fit) == 0.0
+    assert more_under(base, fit) == 0.0
 
 
 def test_under_tails_more_noise_is_no_quadratic_form():
@@ -65,7 +66,7 @@ def test_under_tails_more_noise_is_no_quadratic_form():
         fitted, noise=model, chisqr=float(np.square(fitted.residual / 0.2).sum()),
         log_likelihood=log_likelihood(model, fitted.channels, fitted.residual),
     )  # fmt: skip
-    more = _more_under(replace(model, levels=(0.8, 0.8)), tailed)
+    more = more_under(replace(model, levels=(0.8, 0.8)), tailed)
     larger = replace(model, levels=(0.8, 0.8))
     exact = log_likelihood(larger, fitted.channels, fitted.residual) - tailed.log_likelihood
     assert more == pytest.approx(exact)
@@ -101,7 +102,7 @@ def test_what_leaves_less_is_told_under_the_noise_of_the_likeliest(size, is_like
         )
     ]  # fmt: skip
     turn = SimpleNamespace(rows=rows, fits=fits)
-    _Turn.share_noise(turn)
+    Turn.share_noise(turn)
     _, first, second = turn.rows
     assert (first.log_posterior > second.log_posterior) == is_likelier
     assert second is rows[2]

@@ -11,9 +11,10 @@ from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.decide import Decision
-from bsp_gp.loop.loop import _is_less, _Turn
 from bsp_gp.loop.proposal import Family, Proposal
+from bsp_gp.loop.rows import is_less
 from bsp_gp.loop.table import HeldOut, Row
+from bsp_gp.loop.turn import Turn
 from tests.throws import throws
 
 
@@ -25,7 +26,7 @@ def test_fits_are_no_more_than_asked_for_where_families_give_up(monkeypatch):
         criteria=Criteria(most_fits=4), dataset=data, bounds={}, clock=Clock(None), proposers=(),
         says=lambda text: None, is_usual=lambda proposal: False,
     )  # fmt: skip
-    turn, fitted = _Turn(run, fit(hypothesis, data), hypothesis), []
+    turn, fitted = Turn(run, fit(hypothesis, data), hypothesis), []
     for name, count in (("a", 12), ("b", 30)):
         own = tuple(
             Proposal("contact", f"{name} {k}", hypothesis, -3.0, 16.0 - 0.01 * k - (name == "b"))
@@ -43,7 +44,7 @@ def test_fits_are_no_more_than_asked_for_where_families_give_up(monkeypatch):
     fits = SimpleNamespace(result=lambda k: None, end=lambda: None)
     monkeypatch.setattr(turn, "_fits", lambda queue: fits)
     monkeypatch.setattr(turn, "_followed", followed)
-    monkeypatch.setattr(turn, "_note_gain", lambda *_: None)
+    monkeypatch.setattr(turn, "note_gain", lambda *_: None)
     monkeypatch.setattr(turn, "_tell_near", lambda *_: None)
     turn.fit_best()
     assert len(fitted) == 4
@@ -55,7 +56,7 @@ def test_what_explains_less_than_the_law_that_it_extends_is_no_candidate():
     hypothesis = Hypothesis.from_laws(data, ())
     base = fit(hypothesis, data)
     run = SimpleNamespace(criteria=Criteria(), proposers=(), dataset=data)
-    turn = _Turn(run, base, hypothesis)
+    turn = Turn(run, base, hypothesis)
     wider = Proposal("law", "c * v_i", hypothesis, -3.0, 16.0)
     for times, status in ((1.5, "less"), (0.5, base.status)):  # of what is negative
         found = replace(base, log_likelihood=times * base.log_likelihood)
@@ -72,7 +73,7 @@ def test_where_the_time_is_up_a_law_that_leaves_nothing_stands(left_out, leaves_
     """Not as fact: rivals that were not fitted may do as well."""
     data = throws(n_scenes=3, n_times=12)
     hypothesis = Hypothesis.from_laws(data, ())
-    turn = _Turn(
+    turn = Turn(
         SimpleNamespace(criteria=Criteria(), proposers=()), fit(hypothesis, data), hypothesis
     )
     best = Row(1, "law", "c * v_i", "laws", "converged", 50.0, -3.0, 50.0, 5)
@@ -91,7 +92,7 @@ def test_what_was_not_asked_is_told_though_all_is_asked_under_other_noise():
         propose=lambda *asked: setattr(turn, "unasked", []),
     )  # fmt: skip
     turn.note = turn.left_out.append
-    _Turn.ask_without_memory(turn, 1, SimpleNamespace(in_white=lambda: (None, 0.0)))
+    Turn.ask_without_memory(turn, 1, SimpleNamespace(in_white=lambda: (None, 0.0)))
     assert turn.left_out == ["proposers"] and not turn.unasked
 
 
@@ -103,7 +104,7 @@ def test_where_the_time_is_up_a_law_that_other_scenes_bear_out_describes(part, k
     data = throws(n_scenes=3, n_times=12)
     hypothesis = Hypothesis.from_laws(data, ())
     run = SimpleNamespace(criteria=Criteria(), proposers=(), dataset=data)
-    turn = _Turn(run, fit(hypothesis, data), hypothesis)
+    turn = Turn(run, fit(hypothesis, data), hypothesis)
     turn.left_out = ["fits"]
     told = HeldOut(kept * 1000.0, 1.0, 1000.0)
     best = Row(1, "law", "c * v_i", "laws", "converged", 5.0, 0.0, 5.0, 1, held_out=told,
@@ -121,5 +122,5 @@ def test_a_law_is_not_less_for_noise_that_was_not_fitted_beside_it():
     base = fit(Hypothesis.from_laws(data, ()), data)
     size = abs(base.log_likelihood)
     found = replace(base, log_likelihood=base.log_likelihood - size)
-    assert _is_less(base, found) and _is_less(base, found, 0.5 * size)
-    assert not _is_less(base, found, 1.5 * size)
+    assert is_less(base, found) and is_less(base, found, 0.5 * size)
+    assert not is_less(base, found, 1.5 * size)

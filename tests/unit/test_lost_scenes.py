@@ -16,8 +16,8 @@ from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.fitting.tracks import ChainNoise
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.criteria import Criteria
-from bsp_gp.loop.loop import _Turn
 from bsp_gp.loop.proposal import Proposal, with_term
+from bsp_gp.loop.turn import Turn
 from bsp_gp.physics.engine.chains import build_chains
 from tests.fitted_tracks import body, dataset_of, scene_of
 
@@ -162,7 +162,7 @@ def test_what_a_cut_gives_the_base_is_not_earned_by_a_law():
         if base is law:  # as of all rows, of which those that are cut misfit
             worse = {"log_likelihood": -300.0, "log_evidence": -300.0}
             found = replace(found, status="refuted", **worse)
-        turn = _Turn(
+        turn = Turn(
             SimpleNamespace(
                 criteria=Criteria(), dataset=dataset, bounds={}, clock=Clock(None), proposers=(),
             ), found, base,

@@ -9,7 +9,7 @@ import pytest
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.held_out import predictions
 from bsp_gp.loop.close import close_loop
-from bsp_gp.loop.loop import _swamped
+from bsp_gp.loop.rows import swamped_by
 from bsp_gp.report.page import page_of
 from tests.planted import SI
 from tests.throws import C1, GRAVITY, throws
@@ -225,6 +225,6 @@ def test_noise_is_held_against_the_motion_where_there_is_no_law():
     places = scene.positions[:, 0]
     moved = np.sqrt(places.var(axis=0).sum())
     bare = SimpleNamespace(noise=noise, law=SimpleNamespace(terms=()))
-    assert _swamped(bare, data) == pytest.approx(0.9 * 0.3 / moved)
+    assert swamped_by(bare, data) == pytest.approx(0.9 * 0.3 / moved)
     known = SimpleNamespace(noise=noise, law=SimpleNamespace(terms=("c1 * e_x",)))
-    assert _swamped(known, data) == 0.0
+    assert swamped_by(known, data) == 0.0

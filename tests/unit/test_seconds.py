@@ -8,9 +8,9 @@ from scipy.integrate import solve_ivp
 
 import bsp_gp
 from bsp_gp.demo import _parts
-from bsp_gp.loop.loop import _Turn
 from bsp_gp.loop.proposal import Proposal, both_of
 from bsp_gp.loop.proposers.hidden import pulls_of
+from bsp_gp.loop.turn import Turn
 from bsp_gp.physics.bodies import stack
 from bsp_gp.planning.means import Body, Experiment, means_from
 from tests.loop_views import GRAVITY, throws, view_of
@@ -81,7 +81,7 @@ def test_a_second_is_asked_for_beside_single_laws_that_leave_much(left, formulas
     turn = SimpleNamespace(
         rows=rows, proposals=proposals, fits={1: 20.0, 2: left}, _left=lambda found: found
     )
-    assert [row.id for row in _Turn._firsts(turn)] == [2] * count
+    assert [row.id for row in Turn._firsts(turn)] == [2] * count
 
 
 def test_terms_of_the_demo_are_told_apart_also_where_they_have_a_place():

@@ -15,11 +15,11 @@ from bsp_gp.fitting.starts import _slope
 from bsp_gp.fitting.unseen import without_unseen
 from bsp_gp.language.formula import evaluate
 from bsp_gp.loop.criteria import Criteria
-from bsp_gp.loop.loop import _chosen
 from bsp_gp.loop.proposal import continued, without_term
 from bsp_gp.loop.proposers.aslant import Aslant
 from bsp_gp.loop.proposers.companions import Companions
 from bsp_gp.loop.proposers.inclined import Inclinations
+from bsp_gp.loop.queue import chosen_of
 from bsp_gp.loop.view import View
 from bsp_gp.units import UnitSystem
 
@@ -175,7 +175,7 @@ def test_both_sides_of_the_primary_are_tried():
     family = Companions().propose(view)
     every = [(family.name, proposal) for proposal in family.proposals]
     assert len({tuple(np.sign(list(p.starts.values())[1:3])) for _, p in every}) > 1
-    assert _chosen(every, [family.name], Criteria()) == every
+    assert chosen_of(every, [family.name], Criteria()) == every
 
 
 @pytest.mark.slow

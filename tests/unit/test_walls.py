@@ -16,8 +16,8 @@ from bsp_gp.fitting.jumps import jumps, nodes_between, scatter
 from bsp_gp.fitting.parts.walls import read_wall
 from bsp_gp.fitting.rolling import flow_of, roll
 from bsp_gp.loop.close import close_loop
-from bsp_gp.loop.loop import _Turn
 from bsp_gp.loop.proposers.walls import Walls, jumps_in, walls_at
+from bsp_gp.loop.turn import Turn
 from bsp_gp.physics.engine.chains import build_chains
 from bsp_gp.physics.engine.flow import Flow
 from bsp_gp.physics.engine.motion import Motion
@@ -212,7 +212,7 @@ def test_a_wall_that_nothing_meets_is_no_cause():
     def is_idle(*errors, proposal=proposal):
         parameters = (("g", ""), ("h", ""), ("e", ""))
         found = SimpleNamespace(is_failed=False, parameters=parameters, errors=np.array(errors))
-        return _Turn._is_idle(turn, proposal, found)
+        return Turn._is_idle(turn, proposal, found)
 
     assert is_idle(0.1, np.inf, np.inf)
     assert not is_idle(0.1, 0.01, np.inf)
