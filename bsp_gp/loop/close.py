@@ -5,67 +5,40 @@ import os
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from dataclasses import asdict, replace
-from functools import cached_property
-
-import numpy as np
 
 from bsp_gp.data.blocks import in_blocks
-from bsp_gp.data.flat import held_flat
 from bsp_gp.data.logged import asked_of
-from bsp_gp.data.noise import estimate_noise
-from bsp_gp.data.parts import part_of, rows_of
 from bsp_gp.data.scene import Dataset
-from bsp_gp.data.split import choose_split
 from bsp_gp.data.stretches import in_stretches
 from bsp_gp.data.torn import without_torn_ends
-from bsp_gp.errors import DataError, SettingsError
-from bsp_gp.fitting.fit import fit
-from bsp_gp.fitting.followed import about_ends, about_lost, followed
-from bsp_gp.fitting.hands import without_hands
-from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise, read_law
+from bsp_gp.errors import SettingsError
 from bsp_gp.fitting.law_fit import (
     about_noise,
-    about_outliers,
     constant_estimates,
-    training_part,
-    unset,
 )
-from bsp_gp.fitting.parts.latents import unknown_properties
 from bsp_gp.fitting.parts.orbits import velocity_of
-from bsp_gp.fitting.parts.rails import rail_of
-from bsp_gp.fitting.rests import without_rests, without_still_ends
 from bsp_gp.fitting.unseen import without_unseen
-from bsp_gp.inference.latents import declared_latents
 from bsp_gp.language.grammar import Grammar, load_grammar
-from bsp_gp.language.inputs import DIRECTIONS, STATE_INPUTS
-from bsp_gp.language.operators import is_across_in
 from bsp_gp.language.render import to_latex, to_text
 from bsp_gp.loop import writing_up
 from bsp_gp.loop.accounts import Accounts
 from bsp_gp.loop.backward import prune
-from bsp_gp.loop.carried import carried
 from bsp_gp.loop.clock import Clock
 from bsp_gp.loop.constancy import Constancy, constancy
 from bsp_gp.loop.criteria import VERDICTS, Criteria
-from bsp_gp.loop.foresight import Foresight, is_refuted, that_foresee
-from bsp_gp.loop.kept import rounds_from
-from bsp_gp.loop.kinked import bounce, bounce_oddly, in_flights, in_parts, is_astray, lacks
+from bsp_gp.loop.foresight import is_refuted
+from bsp_gp.loop.looks import Looks
 from bsp_gp.loop.loop import run_rounds
 from bsp_gp.loop.outcome import LoopReport
-from bsp_gp.loop.proposal import FAULTS, continued
+from bsp_gp.loop.proposal import continued
 from bsp_gp.loop.proposers import standard
-from bsp_gp.loop.proposers.kicks import is_kicked
 from bsp_gp.loop.questions import hidden_bound
-from bsp_gp.loop.retraced import is_likelier, retraced
+from bsp_gp.loop.ready import Ready
 from bsp_gp.loop.slight import MOST_CAUSES
 from bsp_gp.loop.unknown import unknowns
 from bsp_gp.loop.view import View
-from bsp_gp.physics.aliasing import aliasing_notes
-from bsp_gp.physics.bodies import dataset_types, input_types_of, stack
 from bsp_gp.physics.force import ForceLaw
-from bsp_gp.physics.masses import check_properties, with_usable_masses
 from bsp_gp.physics.metrics import METRICS
 from bsp_gp.randomness import Random, generator
 from bsp_gp.search.choice import BUDGET
@@ -73,12 +46,13 @@ from bsp_gp.workers import Crew
 
 LATE_S = 3.0
 """Seconds after a time limit that errors on held-out rows may take; then they are left out."""
-AGAIN = 0.5
-"""Part of the time for a part of the rows that all take, a row, with what was found there."""
-FIRST_LOOK = 0.6
-"""Part of the time for a first look at bodies that bounce, behind which flights are followed."""
 WRITING_SHARE = 0.25
 """Part of a time limit that is kept for what comes after the rounds."""
+STREAMS = (
+    "split", "rounds", "accounts", "swapped", "asked", "foresight", "parts", "flights", "retraced",
+    "few",
+)  # fmt: skip
+"""Random streams, in this order: a new one at the end leaves the others as they are."""
 
 
 def close_loop(
@@ -156,16 +130,13 @@ def close_loop(
     _check(dataset, criteria, numbers, time_limit)
     says = progress or (lambda text: None)
     clock = Clock(None if time_limit is None else (1 - WRITING_SHARE) * time_limit)
-    (
-        split_rng, round_rng, account_rng, swapped_rng, asked_rng, foresight_rng, parts_rng,
-        flights_rng, retraced_rng, few_rng,
-    ) = generator(rng).spawn(10)  # fmt: skip
+    streams = dict(zip(STREAMS, generator(rng).spawn(len(STREAMS)), strict=True))
     crew = Crew(workers, needs=run_rounds)
     says("reading the data set")
     known = {"t", *dataset.logged}
     dataset = without_torn_ends(asked_of(dataset, _words(declared), exclude))
     dataset = dataset if all_rows else in_stretches(in_blocks(dataset))
-    ready = _Ready(dataset, declared, split_rng)
+    ready = Ready(dataset, declared, streams["split"])
     grammar = grammar if isinstance(grammar, Grammar) else load_grammar(grammar)
     unknown = sorted(set(exclude) - set(grammar.inputs) - known)
     if unknown:
@@ -173,116 +144,37 @@ def close_loop(
             f"exclude names {unknown}, which are no inputs of grammar {grammar.name}; present are "
             f"{', '.join(sorted(grammar.inputs))}"
         )
-    settings = {
-        "criteria": criteria, "max_rounds": max_rounds, "starts": starts, "bounds": bounds,
-        "progress": progress, "looks": 2 if ready.has_more else 1,
-        "crew": crew, "is_enough": _is_enough,
-    }  # fmt: skip
-
-    def look(ready, rng, begun, clock=clock, **more):
-        able = standard(
-            grammar, ready.train, max_levels=max_levels, exclude=tuple(exclude), search=search,
-            budget=search_budget,
-        )  # fmt: skip
-        able = [p for p in able if not (all_rows and p.name == "hands")]
-        return run_rounds(
-            ready.hypothesis, ready.train, able, rng=rng, begun=begun, clock=clock, **settings,
-            **more,
-        )
-
     left = None if time_limit is None else time_limit - (time.monotonic() - began)
-    until = Clock(None if left is None else left + LATE_S)
-    how = starts, bounds, clock
-
-    def begin(ready, rng, is_cut=all_rows):
-        begun = ready.begin(*how)
-        return (ready, begun) if is_cut else _in_parts(ready, begun, declared, rng, how, criteria)
-
-    def first_look(ready, rng, begun, rng_ahead, **more):
-        foreseen: dict = {}
-        ahead = Foresight(
-            lambda found, hypothesis: ready.refitted(found, hypothesis, bounds, until),
-            ready.dataset, ready.split.test, rng_ahead.spawn(max_rounds), crew, foreseen,
-        )  # fmt: skip
-        more |= {"is_refused": ahead.refuses, "instead": ahead.instead}
-        return look(ready, rng, begun, **more), ahead, foreseen
-
-    begin_rng, look_rng, ahead_rng = few_rng.spawn(3)
-    small = _part_of(ready, declared, begin_rng) if earlier is None and not all_rows else None
-    part, is_all = None, True
-    if small is not None:
-        says("looking at a part of the rows")
-        since = time.monotonic()
-        is_cut = any(scene.part_of for scene in small.dataset.scenes)  # no hand throws a window
-        small, begun = begin(small, begin_rng, is_cut)
-        part = (small, *first_look(small, look_rng, begun, ahead_rng))
-        times = rows_of(ready.train.scenes) / rows_of(small.train.scenes)
-        needed = AGAIN * times * (time.monotonic() - since)
-        is_all = clock.left is None or clock.left > needed
-    if is_all:
-        says("fitting the declared model")
-        ready, begun = begin(ready, parts_rng)
-    if earlier is not None:
-        earlier = rounds_from(
-            earlier, ready.hypothesis, ready.train, begun, bounds=bounds, criteria=criteria
-        )
-    elif part is not None and is_all:
-        says("fitting what was found in a part to all rows")
-        earlier = carried(
-            part[1], ready.hypothesis, ready.train, begun, criteria=criteria, bounds=bounds,
-            clock=clock,
-        )  # fmt: skip
-        if on_round is not None:
-            for done in earlier:
-                on_round(done)
-
-    # Where a body bounces it may have to be followed anew, from wall to wall.
-    may_fly = is_all and not all_rows and lacks(begun, ready.noise.sigma) and ready.bounces
-    flights = in_flights(ready.dataset) if may_fly else None
-    if part is None or is_all:
-        rounds, foresight, foreseen = first_look(
-            ready, round_rng, begun, foresight_rng, on_round=on_round, earlier=earlier,
-            clock=clock if flights is None else clock.share(FIRST_LOOK),
-        )
-    else:
-        ready, rounds, foresight, foreseen = part
-    if flights is not None and not clock.is_over and _asks_flights(rounds, ready.noise.sigma):
-        says("following flights from wall to wall")
-        other, rng_split = _Ready(flights, declared, flights_rng), flights_rng.spawn(2)
-        found = first_look(other, rng_split[0], other.begin(starts, bounds, clock), rng_split[1])
-        if any(done.decision.is_adopted for done in found[0]):
-            ready, (rounds, foresight, foreseen) = other, found
-    if (before := retraced(rounds)) is not None and not clock.is_over:
-        says("asking for more beside laws of textbooks")
-        look_rng, ahead_rng = retraced_rng.spawn(2)
-        found = first_look(ready, look_rng, begun, ahead_rng, earlier=before)
-        if is_likelier(found[0], rounds, criteria):
-            rounds, foresight, foreseen = found
-    is_cut = False
-    if ready.has_more and rounds[0].decision.verdict == "nothing missing":
-        # What acts in held-out scenes only would be missed.
-        says("looking at what was held out")
-        other = ready.swapped(rounds[0].entering.noise)
-        found = look(other, swapped_rng, other.begin(starts, bounds, clock))
-        is_cut = bool(found[0].left_out)
-        if found[0].decision.verdict not in ("nothing missing", "cannot tell"):
-            ready, rounds = other, found
-    if not ready.is_swapped:  # what acts in those scenes only foresees nothing of the others
-        rounds = that_foresee(rounds, foresight)
+    looks = Looks(
+        declared,
+        lambda train: [
+            p for p in standard(
+                grammar, train, max_levels=max_levels, exclude=tuple(exclude), search=search,
+                budget=search_budget,
+            )
+            if not (all_rows and p.name == "hands")
+        ],
+        clock=clock, until=Clock(None if left is None else left + LATE_S), starts=starts,
+        bounds=bounds, all_rows=all_rows, progress=says,
+        settings={"criteria": criteria, "max_rounds": max_rounds, "crew": crew,
+                  "is_enough": _is_enough},
+    )  # fmt: skip
+    look = looks.found(ready, streams, earlier, on_round)
+    ready, rounds = look.ready, look.rounds
     pruned = prune(
         rounds, ready.train, criteria=criteria, bounds=bounds, clock=clock, progress=progress
     )
     says("writing up")
     left = None if time_limit is None else time_limit - (time.monotonic() - began)
     whole, late = Clock(left), Clock(None if left is None else left + LATE_S)
-    asked = None if whole.is_over else _asked(ready, rounds, pruned, asked_rng, criteria)
+    asked = None if whole.is_over else _asked(ready, rounds, pruned, streams["asked"], criteria)
     written = _written(
-        ready, rounds, pruned, bounds, account_rng, n_bootstrap, whole, asked, criteria,
-        crew, late, foreseen,
+        ready, rounds, pruned, bounds, streams["accounts"], n_bootstrap, whole, asked, criteria,
+        crew, late, look.foreseen,
     )
     left_out = [code for done in rounds for code in done.left_out]
-    left_out += ["held_out"] if is_cut else []
-    left_out += [] if is_all else ["rows"]
+    left_out += ["held_out"] if look.is_cut else []
+    left_out += [] if looks.is_all else ["rows"]
     left_out += [] if pruned.is_complete else ["removal"]
     left_out += written.pop("left_out")
     return LoopReport(
@@ -301,244 +193,12 @@ def close_loop(
     )  # fmt: skip
 
 
-def _part_of(ready, declared, rng):
-    """A part of the rows of a large data set as fits take it; None where all are looked at at once.
-
-    Nor is one taken of bodies that bounce, which are followed from wall to wall, or where nothing
-    moves in it.
-    """
-    few = part_of(ready.dataset)
-    if few is None or ready.bounces:
-        return None
-    try:
-        return _Ready(few, declared, rng)
-    except DataError:
-        return None
-
-
 def _words(declared):
     """What declared laws name."""
     laws = (declared,) if isinstance(declared, str) else declared
     if isinstance(laws, ForceLaw):
         laws = [to_text(term.formula) for term in laws.terms]
     return set(re.findall(r"\w+", " ".join(laws)))
-
-
-def _asks_flights(rounds, levels):
-    """Whether no wall was adopted, and something is left, or rows are far off what is foreseen."""
-    found = [done.decision.best for done in rounds if done.decision.is_adopted]
-    if any(row.kind == "wall" for row in found):
-        return False
-    is_left = rounds[-1].decision.verdict != "nothing missing"
-    return is_left or is_astray(rounds[-1].after, levels)
-
-
-def _in_parts(ready, begun, declared, rng, how, criteria):
-    """The data set and its first fit, without hands at the ends of recordings, these cut in parts.
-
-    Bodies that bounce as no wall foretells are followed from flight to flight, with no hands.
-
-    Where velocities jump, and not where that leaves nothing: then kicks are all that is missing,
-    and are found as such. What is kicked at random is taken whole.
-    """
-    def anew(dataset):
-        made = _Ready(dataset, declared, rng)
-        return made, made.begin(*how)
-
-    whole = ready, begun
-    if ready.dataset.is_of_sight or not lacks(begun, ready.noise.sigma):
-        return whole
-    bounces = ready.bounces
-    # What nothing moves may rest for as long as it likes: no law says that it is held.
-    dataset = without_still_ends(ready.dataset) if bounces or not ready.law.terms else None
-    if dataset is not None and dataset is not ready.dataset:
-        ready, begun = whole = anew(dataset)
-    if bounces:
-        flights = in_flights(ready.dataset) if bounce_oddly(ready.dataset) else None
-        return whole if flights is None else anew(flights)
-    dataset = without_hands(ready.dataset, ready.law)
-    if dataset is not None:
-        ready, begun = anew(dataset)
-    still_lacks = dataset is None or lacks(begun, ready.noise.sigma)
-    dataset = in_parts(ready.dataset, begun) if still_lacks else None
-    if dataset is not None:
-        other, found = anew(dataset)
-        if lacks(found, other.noise.sigma):
-            ready, begun = other, found
-    if ready is not whole[0] and is_kicked(whole[0].dataset, whole[1], criteria):
-        return whole
-    return ready, begun
-
-
-class _Ready:
-    """A data set as fits take it.
-
-    Attributes
-    ----------
-    dataset : Dataset
-        All scenes.
-    law : ForceLaw
-        The declared one.
-    split : Split
-    train : Dataset
-        What is learned from.
-    before_cut : Dataset or None
-        Of scenes that are cut in time, what comes before the cut.
-    hypothesis : Hypothesis
-        The declared one, with the properties that are unknown; tracks that no path under the
-        declared law follows are cut short in it.
-    far_off : tuple
-        Rows in it that are far off their neighbours.
-    noise : NoiseEstimate
-    is_swapped : bool
-        Whether train and test were swapped.
-    """
-
-    is_swapped = False
-
-    def __init__(self, dataset, declared, rng):
-        latents = declared_latents(dataset) if dataset.latents else None
-        if latents is not None:
-            everywhere = unknown_properties(dataset, latents, dataset.scenes)
-            dataset = replace(everywhere.seen(dataset), latents=())
-        declared = (declared,) if isinstance(declared, str) else declared
-        is_law = isinstance(declared, ForceLaw)
-        self.law = unset(declared) if is_law else read_law(dataset, declared)
-        if latents is None:
-            dataset = without_rests(dataset, self.law)
-        self.dataset = held_flat(with_usable_masses(dataset), _spoken(self.law, dataset))
-        self.noise = estimate_noise(self.dataset)
-        self.rail = None if self.law.frame or self.law.unseen else rail_of(
-            self.dataset, self.noise.inactive_axes
-        )
-        self.latents = latents
-        self._learn_from(choose_split(self.dataset, rng))
-
-    @cached_property
-    def bounces(self):
-        """Whether bodies turn back at walls; of long recordings it takes seconds to tell."""
-        return not self.dataset.is_of_sight and bounce(self.dataset)
-
-    def _learn_from(self, split):
-        self.split, self._refitted = split, {}
-        self.train, self.far_off = training_part(self.dataset, split.learned, self.noise)
-        self.is_weeded = self.train.scenes is not split.learned
-        self.before_cut = None
-        if split.whole and split.test:
-            self.before_cut, _ = training_part(self.dataset, split.train, self.noise)
-        check_properties(stack(self.train.scenes, self.dataset.up), self.law)
-        self.hypothesis = self._declared(self.train)
-
-    def _declared(self, train):
-        hypothesis = Hypothesis.from_laws(train, self.law)
-        if self.rail is not None:
-            hypothesis += self.rail
-        if self.latents is not None:
-            hypothesis += unknown_properties(self.dataset, self.latents, train.scenes)
-        return hypothesis
-
-    @property
-    def has_more(self):
-        """Whether scenes are held out that are not learned from."""
-        return bool(self.split.test) and self.before_cut is None
-
-    def everything(self):
-        """All scenes as fits take them."""
-        scenes = (*self.split.learned, *self.split.test)
-        return training_part(self.dataset, scenes, self.noise)[0]
-
-    def swapped(self, noise):
-        """The same with train and test swapped; a memory of the noise that was told is known there.
-
-        Few scenes tell little of it, and what it does there would pass for a force.
-        """
-        other = copy(self)
-        other.is_swapped = True
-        other._learn_from(self.split.swapped)
-        model = other.hypothesis.noise
-        if noise.correlated and model.is_free.any() and not model.is_correlation_known:
-            model = replace(
-                model, correlated=noise.correlated, correlation_time=noise.correlation_time,
-                is_correlation_known=True,
-            )  # fmt: skip
-            other.hypothesis += TrackNoise(model)
-        return other
-
-    def begin(self, starts, bounds, clock):
-        """The fit of what is declared, to tracks as far as it can follow them."""
-        found, self.hypothesis = followed(
-            self.hypothesis, self.train, starts=starts, bounds=bounds, deadline=clock.left
-        )
-        return found
-
-    def refitted(self, found, hypothesis, bounds, clock):
-        """A fit as it would be without the rows that are held out.
-
-        Only where the scenes were cut in time has it seen any of them. It begins at the fit, and
-        ends where the rows that are left lead; one that cannot be fitted to these foresees nothing.
-        """
-        if self.before_cut is None:
-            return found
-        if found not in self._refitted:
-            self._refitted[found] = self._without_held_out(found, hypothesis, bounds, clock)
-        return self._refitted[found]
-
-    def _without_held_out(self, found, hypothesis, bounds, clock):
-        nothing = replace(found, status="nonfinite", values=np.full(len(found.values), np.nan))
-        hypothesis = continued(hypothesis, found)
-        if found.is_failed or not _shows_motion(hypothesis.seen(self.before_cut).scenes):
-            return nothing
-        try:
-            return fit(
-                hypothesis, self.before_cut, bounds=hypothesis.own(bounds), deadline=clock.left,
-                near=_cut(found, hypothesis.seen(self.before_cut).scenes),
-            )
-        except FAULTS:
-            return nothing
-
-    def notes(self, found, hypothesis):
-        """What is known of the data beside a hypothesis that was fitted to them."""
-        return (
-            *self.noise.notes, *about_lost(hypothesis), *about_ends(hypothesis, self.train),
-            *about_outliers(found, self.is_weeded, self.far_off, self.dataset.units),
-            *aliasing_notes(found.law, self.train.scenes, self.dataset.units),
-        )  # fmt: skip
-
-
-def _spoken(law, dataset):
-    """Axes of which a law speaks; all where it has constraints or frames, or the data vectors.
-
-    Products across are no vectors in a plane.
-    """
-    types, axes = dataset_types(dataset) | input_types_of(dataset), set()
-    vectors = [n for n in types if n not in STATE_INPUTS and types[n].shape == "vector"]
-    is_across = not all(is_across_in(to_text(term.formula), 2) for term in law.terms)
-    if law.frame or law.unseen or vectors or is_across:
-        return set("xyz"[: dataset.n_dims])
-    for name in {name for term in law.terms for name in term.formula.inputs} & {*DIRECTIONS}:
-        axes.add(dataset.up.strip("-") if name in ("up", "down") else name[-1])
-    return axes
-
-
-def _cut(found, scenes):
-    """A fit at the rows of scenes that end before its own, as where another begins; or None."""
-    times, nodes = {scene.name: scene.times for scene in scenes}, []
-    for chains, states in zip(found.groups, found.nodes, strict=True):
-        own = [times.get(name, np.zeros(0)) for name in chains.scenes]
-        kept = np.zeros((*states.shape[:3], max(map(len, own)), states.shape[4]))
-        for s, rows in enumerate(own):
-            n = min(len(rows), int(chains.lengths[s]))  # some are cut short
-            if not n or not np.array_equal(chains.times[:n, s], rows[:n]):
-                return None
-            kept[..., :n, s] = states[..., :n, s]
-        nodes.append(kept)
-    return replace(found, nodes=tuple(nodes))
-
-
-def _shows_motion(scenes):
-    """Whether every body that forces move is seen at least twice in every scene."""
-    seen = (np.isfinite(s.positions[:, s.dynamic]).all(axis=-1).sum(axis=0) for s in scenes)
-    return all((count >= 2).all() for count in seen)
 
 
 def _asked(ready, rounds, pruned, rng, criteria):

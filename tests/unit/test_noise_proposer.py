@@ -7,9 +7,10 @@ import pytest
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, TrackNoise
-from bsp_gp.loop.close import _Ready, close_loop
+from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.proposers.noise import Noise
 from bsp_gp.loop.questions import noise_findings
+from bsp_gp.loop.ready import Ready
 from tests.loop_views import GRAVITY, throws, view_of
 
 SIGMA = 0.005
@@ -155,7 +156,7 @@ def test_a_fit_comes_to_its_end_beside_noise_that_looks_like_forces(seed):
 
 def test_a_memory_of_the_noise_is_known_in_held_out_scenes():
     data, rng = remembered(0, 5), np.random.default_rng(0)
-    ready = _Ready(data, GRAVITY, rng)
+    ready = Ready(data, GRAVITY, rng)
     found = fit(ready.hypothesis, ready.train)
     assert found.noise.correlated > 0
     noise = ready.swapped(found.noise).hypothesis.noise

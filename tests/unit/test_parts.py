@@ -11,7 +11,7 @@ from bsp_gp.fitting.hypothesis import Forces, read_law
 from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.language.formula import Call, Constant
 from bsp_gp.loop.carried import _is_of_all_scenes
-from bsp_gp.loop.close import AGAIN
+from bsp_gp.loop.looks import AGAIN
 from bsp_gp.physics.force import ForceLaw, Term, split_linear
 from tests.fitted_tracks import body, dataset_of, scene_of
 
@@ -68,7 +68,7 @@ def test_what_a_part_shows_is_fitted_to_all_rows():
 
 @pytest.mark.slow
 def test_where_the_time_does_not_do_for_all_rows_the_part_is_told(monkeypatch):
-    monkeypatch.setattr("bsp_gp.loop.close.AGAIN", 1e6 * AGAIN)
+    monkeypatch.setattr("bsp_gp.loop.looks.AGAIN", 1e6 * AGAIN)
     report = close_loop(swung(200, 40), rng=0, n_bootstrap=0, time_limit=600.0)
     assert "rows" in report.left_out
     assert any("there was time for 3,000 of 8,000 rows" in n for n in report.dataset["notes"])

@@ -8,7 +8,7 @@ import numpy as np
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis, read_law
 from bsp_gp.loop.backward import _Pruning
-from bsp_gp.loop.close import _cut
+from bsp_gp.loop.ready import _cut
 from tests.loop_views import GRAVITY, throws
 
 
