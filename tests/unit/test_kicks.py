@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.stats import multivariate_normal
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.kinks import kinks
-from bsp_gp.fitting.langevin import Track, _Model, _Part, models_of
+from bsp_gp.fitting.langevin import Track, _Model, _Part, exponentials, models_of
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import Criteria
 from bsp_gp.loop.proposers.kicks import is_kicked, leaps
@@ -293,3 +294,21 @@ def test_noise_that_is_not_seen_has_a_limit():
     walk = Track(np.arange(400.0), np.cumsum(rng.standard_normal((400, 2)), axis=0))
     best = next(m for m in models_of([walk]) if m.terms == {"kicks", "drag"} and m.is_overdamped)
     assert best.values["noise"][2] < 1.0
+
+
+@pytest.mark.parametrize("n", [2, 4, 6])
+def test_exponentials_of_short_and_long_steps_are_those_of_scipy(n):
+    rng = np.random.default_rng(n)
+    matrix, times = rng.normal(size=(n, n)), 10 ** rng.uniform(-6, 1, 200)
+    ours, theirs = exponentials(matrix, times), expm(matrix * times[:, None, None])
+    # Each to its own digits: of the shortest steps what they change is about as exact.
+    for own, other in ((ours, theirs), (ours - np.eye(n), theirs - np.eye(n))):
+        size = np.abs(other).max(axis=(1, 2))
+        assert (np.abs(own - other).max(axis=(1, 2)) < 1e-12 * size + 4e-16).all()
+
+
+def test_exponentials_of_nothing_and_of_no_number():
+    assert exponentials(np.zeros((2, 2)), np.array([0.0, 3.0])) == pytest.approx(
+        np.tile(np.eye(2), (2, 1, 1))
+    )
+    assert np.isnan(exponentials(np.array([[np.inf]]), np.array([1.0]))).all()
