@@ -199,7 +199,7 @@ class Turn(Rows):
             if queue.passes_over(at):
                 continue
             n_fits += 1  # proposals that are passed over are none of the fits that may yet come
-            self.run.says(f"fit {n_fits} of {queue.n_most}: {proposal.text}")
+            self.run.says(f"fit {n_fits} of {max(n_fits, queue.n_most)}: {proposal.text}")
             row, proposal = self._followed(source, proposal, fits.result(at))
             if queue.ends_with(at, row, proposal):
                 break
