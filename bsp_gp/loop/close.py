@@ -174,7 +174,7 @@ def close_loop(
     )
     left_out = [code for done in rounds for code in done.left_out]
     left_out += ["held_out"] if look.is_cut else []
-    left_out += [] if looks.is_all else ["rows"]
+    left_out += [] if look.is_all else ["rows"]
     left_out += [] if pruned.is_complete else ["removal"]
     left_out += written.pop("left_out")
     return LoopReport(

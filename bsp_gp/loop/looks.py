@@ -38,6 +38,8 @@ class Look:
         Predictions that were made for it.
     is_cut : bool
         Whether a look at what was held out was cut by the time limit.
+    is_all : bool
+        Whether all rows were looked at.
     """
 
     ready: Ready
@@ -46,6 +48,7 @@ class Look:
     foresight: object = None
     foreseen: dict = field(default_factory=dict)
     is_cut: bool = False
+    is_all: bool = True
 
     @property
     def shows_something(self):
@@ -79,8 +82,7 @@ class Looks:
         self.declared, self.proposers = declared, proposers
         self.clock, self.until, self.all_rows, self.says = clock, until, all_rows, progress
         self.starts, self.bounds, self.settings = starts, bounds, settings
-        self.how = starts, bounds, clock
-        self.is_all = True  # whether all rows were looked at
+        self.how = starts, bounds, clock  # what is declared is fitted
 
     def found(self, ready, streams, earlier=None, on_round=None):
         """What is found in a data set.
@@ -102,14 +104,14 @@ class Looks:
         if earlier is None and not self.all_rows:
             look, needed = self._at_a_part(ready, streams["few"])
         # A part tells of all where time for all is lacking.
-        self.is_all = look is None or self.clock.left is None or self.clock.left > needed
-        if self.is_all:
+        is_all = look is None or self.clock.left is None or self.clock.left > needed
+        if is_all:
             look = self._at_all(ready, look, streams, earlier, on_round)
         look = self._from_usual_laws(look, streams["retraced"])
         look = self._at_held_out(look, streams["swapped"])
         if not look.ready.is_swapped:  # what acts in those scenes only foresees nothing of others
             look = replace(look, rounds=that_foresee(look.rounds, look.foresight))
-        return look
+        return replace(look, is_all=is_all)
 
     def _rounds(self, ready, rng, begun, clock=None, **more):
         return run_rounds(
@@ -134,7 +136,7 @@ class Looks:
         begun = ready.begin(*self.how)
         if is_cut:
             return ready, begun
-        return in_parts_of(ready, begun, self.declared, rng, self.how, self.settings["criteria"])
+        return _in_parts(ready, begun, self.declared, rng, self.how, self.settings["criteria"])
 
     def _at_a_part(self, ready, rng):
         """A look at a part of many rows, and seconds that all would take after it; or None."""
@@ -231,7 +233,7 @@ def _asks_flights(rounds, levels):
     return is_left or is_astray(rounds[-1].after, levels)
 
 
-def in_parts_of(ready, begun, declared, rng, how, criteria):
+def _in_parts(ready, begun, declared, rng, how, criteria):
     """The data set and its first fit, without hands at the ends of recordings, these cut in parts.
 
     Bodies that bounce as no wall foretells are followed from flight to flight, with no hands.

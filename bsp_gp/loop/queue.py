@@ -80,7 +80,7 @@ class Queue:
         }  # fmt: skip
 
     def passes_over(self, at):
-        """Whether what is at a place is by now not worth its fit."""
+        """Whether what is at a place is by now not worth its fit; asked of each once, in turn."""
         turn, (source, proposal) = self.turn, self.jobs[at]
         # A single cause is of its family's own measure, like the best.
         is_lesser = proposal.rank < self._fewest.get(source, math.inf)
