@@ -132,6 +132,22 @@ def _remembered(scenes, sigma, rng):
     return [_with(*both) for both in zip(scenes, errors, strict=True)], gain - _white(errors)
 
 
+def _shaken(scenes, sigma, rng):
+    """A camera that shakes by as much as the noise: all bodies of a scene alike."""
+    errors, gain = [], 0.0
+    for scene in scenes:
+        shape = _moving(scene)[0].shape
+        error = sigma * (rng.standard_normal(shape) + rng.standard_normal((shape[0], 1, shape[2])))
+        # The sum over the bodies holds what they share.
+        n = shape[1]
+        whole = np.square(error.mean(axis=1)) * n
+        rest = np.square(error).sum() - whole.sum()
+        gain -= 0.5 * (rest + whole.sum() / (1 + n)) / sigma**2
+        gain -= error.size * np.log(sigma * np.sqrt(2 * np.pi)) + 0.5 * whole.size * np.log(1 + n)
+        errors.append(error)
+    return [_with(*both) for both in zip(scenes, errors, strict=True)], gain - _white(errors)
+
+
 def _drifting(scenes, sigma, rng):
     """A camera that wanders smoothly, by about the noise: all bodies of a scene alike."""
     errors, gain = [], 0.0
@@ -246,5 +262,6 @@ NOISES = {
     "time-stamp jitter": Noise(_in_time(_jittered), STAMPS),
     "times on a grid": Noise(_in_time(_rounded), STAMPS),
     "missing rows": Noise(_missing, ()),
-    "wandering camera": Noise(_drifting, ("autocorrelation",), ("drift",)),
+    "wandering camera": Noise(_drifting, ("autocorrelation", "common"), ("drift",)),
+    "shaking camera": Noise(_shaken, ("common",)),
 }

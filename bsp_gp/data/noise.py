@@ -21,6 +21,8 @@ _TOLERANCE = 1.0
 _MIN_GRID_VALUES = 6
 _COMES_BACK = 10
 """Changes of value for every one of fewer values from which these are a grid all the same."""
+_STAYS = 50
+"""Rows for every one of fewer values, on which nothing that moves can be seen to go on."""
 _MOST_NEW, _HELD = 0.5, 1e-9
 """Part of the rows of a track that have a place of their own, below which places are held between
 fixes; and part of its range within which a place is held."""
@@ -330,8 +332,9 @@ def grid_step(tracks):
     if not len(gaps):
         return 0.0
     if len(gaps) < _MIN_GRID_VALUES - 1:
+        n_values, n_rows = len(gaps) + 1, sum(len(x) for _, x in tracks)
         n_changes = sum(np.count_nonzero(np.abs(np.diff(x)) > rounding) for _, x in tracks)
-        if n_changes < _COMES_BACK * (len(gaps) + 1):
+        if n_changes < _COMES_BACK * n_values and n_rows < _STAYS * n_values:
             return 0.0
     step = float(gaps[0])
     while step > _MIN_GRID_STEP * rounding:

@@ -7,6 +7,7 @@ from scipy import stats
 
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
+from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.cut_short import CutShort
 from bsp_gp.language.formula import Call, Constant, Number, factors, summands
 from bsp_gp.language.render import to_text
@@ -22,6 +23,8 @@ OF_ONE = {
 }  # fmt: skip
 """What a cause with a number for each scene or body is with one number for all."""
 
+LATE = 0.3
+"""Part of the time that is left for writing up in which terms that may be nothing are left out."""
 NEEDED = 50.0
 """Standard errors from zero of a strength that cannot be spared: a thousand nats."""
 
@@ -74,7 +77,7 @@ class Pruned:
     is_complete: bool = True
 
 
-def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=None):
+def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, late=None, progress=None):
     """Refit without each cause that was adopted before the last one.
 
     What the evidence does not ask for is dropped, the least of all first, until nothing is.
@@ -85,6 +88,8 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
         Training scenes.
     bounds : dict, optional
         Of the constants of what is declared.
+    late : Clock, optional
+        Until when terms that may be nothing are left out where the time was up.
     progress : callable, optional
     """
     run = _Pruning(rounds, dataset, criteria or Criteria(), bounds, clock or Clock(), progress)
@@ -95,6 +100,7 @@ def prune(rounds, dataset, *, criteria=None, bounds=None, clock=None, progress=N
         run.displace()
     except TimeIsUp:
         run.is_complete = False
+        run.shed_late(late or run.clock)
     restated = {
         number: Restated(code, text, formula, run.found)
         for number, (code, text, formula) in run.restated.items()
@@ -132,16 +138,25 @@ class _Pruning:
         while (formula := self._shrink(self._without_terms())) is not None:
             self.shed.add(formula)
 
+    def shed_late(self, clock):
+        """The same where there was no time: what may be nothing is told as nothing."""
+        self.clock = clock.share(LATE)
+        try:
+            self.shed_terms()
+        except TimeIsUp:
+            pass
+
     def _shrink(self, ways):
         """Take the hypothesis that is likeliest beside the whole one, if one is, and say which.
 
-        Of ``(name, hypothesis or None, text, log prior of what it lacks)`` each.
+        Of ``(name, hypothesis or None, text, log prior of what it lacks, what a nat of evidence
+        counts)`` each.
         """
         weakest, least = None, 0.0
-        for name, smaller, text, log_prior in ways:
+        for name, smaller, text, log_prior, worth in ways:
             fitted = smaller and self.fitted(smaller, f"without {text}")
-            if fitted and fitted[2] + log_prior <= least:
-                weakest, least = (name, *fitted[:2]), fitted[2] + log_prior
+            if fitted and fitted[2] * worth + log_prior <= least:
+                weakest, least = (name, *fitted[:2]), fitted[2] * worth + log_prior
         if weakest is None:
             return None
         name, self.found, self.hypothesis = weakest
@@ -151,20 +166,27 @@ class _Pruning:
         for done in self.adopted[:-1]:
             if done.number not in self.removed:
                 best = done.decision.best
-                yield done.number, _without(self.hypothesis, done), best.text, best.log_prior
+                smaller = _without(self.hypothesis, done)
+                yield done.number, smaller, best.text, best.log_prior, 1.0
 
     def _without_terms(self):
+        told = constant_estimates(self.found, self.dataset)
         for formula in self._terms_of_sums():
-            own = self._strengths(formula)
-            if len(own) and np.all(own < WEAK):
-                smaller = without_term(self.hypothesis, formula)
-                yield formula, smaller, to_text(formula), -self.criteria.cause_nats
-
-    def _strengths(self, formula):
-        """What a term is proportional to, in standard errors: of a wave both amplitudes."""
-        name, _ = split_linear(formula)
-        names = [name] if name else amplitudes_of(formula)
-        return np.concatenate([significance(self.found, one) for one in names] or [np.zeros(0)])
+            names = strengths_of(formula)
+            own = np.concatenate(
+                [significance(self.found, name) for name in names] or [np.zeros(0)]
+            )
+            # Where more than noise is left the interval that is told is what counts, and nats as
+            # many as it makes of them.
+            wide = [c for c in told if c.name in names]
+            may_be_none = bool(wide) and all(c.low <= 0.0 <= c.high for c in wide)
+            if len(own) and (np.all(own < WEAK) or may_be_none):
+                smaller, worth = without_term(self.hypothesis, formula), 1.0
+                halves = np.array([(c.high - c.low) / 2 for c in wide])
+                if may_be_none and own.max() > 0 and halves.min() > 0:
+                    sizes = np.abs([c.value for c in wide]) * stats.norm.ppf(0.95) / halves
+                    worth = min(float((sizes.max() / own.max()) ** 2), 1.0)
+                yield formula, smaller, to_text(formula), -self.criteria.cause_nats, worth
 
     def _terms_of_sums(self):
         kept = [done for done in self.adopted if done.number not in self.removed]
@@ -239,6 +261,12 @@ class _Pruning:
             for f, h in ((self.found, self.hypothesis), (other, smaller))
         )
         return other, smaller, whole - theirs
+
+
+def strengths_of(formula):
+    """Constants to which a term is proportional: of a wave both amplitudes."""
+    name, _ = split_linear(formula)
+    return [name] if name else amplitudes_of(formula)
 
 
 def amplitudes_of(formula):

@@ -161,9 +161,11 @@ def close_loop(
     )  # fmt: skip
     look = looks.found(ready, streams, earlier, on_round)
     ready, rounds = look.ready, look.rounds
+    left = None if time_limit is None else time_limit - (time.monotonic() - began)
     pruned = prune(
-        rounds, ready.train, criteria=criteria, bounds=bounds, clock=clock, progress=progress
-    )
+        rounds, ready.train, criteria=criteria, bounds=bounds, clock=clock, late=Clock(left),
+        progress=progress,
+    )  # fmt: skip
     says("writing up")
     left = None if time_limit is None else time_limit - (time.monotonic() - began)
     whole, late = Clock(left), Clock(None if left is None else left + LATE_S)

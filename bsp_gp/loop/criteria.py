@@ -66,8 +66,8 @@ KINDS = ("force", "constraint", "wall", "measurement", "hidden_body", "kicks", "
 FORESEEING = ("force", "constraint", "wall", "hidden_body")
 """Kinds of causes that act on what was held out as well; errors of the measurement need not."""
 NOISE_FINDINGS = (
-    "size", "autocorrelation", "tails", "level_of_scene", "level_of_body", "level_with_speed",
-    "grid", "row",
+    "size", "autocorrelation", "tails", "common", "level_of_scene", "level_of_body",
+    "level_with_speed", "grid", "row",
 )  # fmt: skip
 """In what noise may not be as assumed."""
 

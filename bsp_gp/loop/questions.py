@@ -148,6 +148,7 @@ class _PureError:
         heavy = -np.square(rest.sum(axis=(1, 2))) / np.square(rest).sum(axis=(1, 2))
         yield Finding("autocorrelation", _p_beside(lagged))
         yield Finding("tails", _p_beside(heavy, is_upper=True))
+        yield from self._common(mean)
         speed = channels.speed
         if speed is not None:
             fast = np.where(self.used, np.square(np.nan_to_num(speed)), 0.0)
@@ -168,6 +169,21 @@ class _PureError:
             size = np.square(self.view.fit.residual / channels.quoted)[self.used]
             dof = max(size.size - self.rank, 1)
             yield Finding("size", float(stats.chi2.sf(np.nansum(size), dof)))
+
+    def _common(self, mean):
+        """Whether bodies of a scene are off together, as where a camera shakes."""
+        channels, total = self.channels, np.zeros(len(self.z))
+        kinds, group = np.unique(
+            np.stack([channels.scene, channels.axis]), axis=1, return_inverse=True
+        )
+        pairs = 0
+        for number in range(kinds.shape[1]):
+            own = self.z[:, :, group.ravel() == number]
+            seen = self.used[:, group.ravel() == number].sum(axis=1)
+            pairs += int((seen * (seen - 1)).sum())
+            total += np.square(own.sum(axis=2)).sum(axis=1) - np.square(own).sum(axis=(1, 2))
+        if pairs:
+            yield Finding("common", _p_beside(total / mean, is_upper=True))
 
     def _levels(self, code, index, names, place):
         """Whether a scene or a body has another level than all others."""

@@ -403,12 +403,24 @@ def swamped_by(found, dataset):
 
     Zero beside a law: where forces explain most of a motion noise may be any part of the rest.
     """
-    if found.law.terms or not found.noise.correlated:
+    if found.law.terms:
+        return 0.0
+    if found.noise.adding:
+        return _swamped_added(found, dataset)
+    if not found.noise.correlated:
         return 0.0
     moved = extent_of(dataset)
     sizes = np.nan_to_num(np.array(found.noise.levels), posinf=0.0)
     size = math.sqrt(found.noise.correlated) * float(np.linalg.norm(sizes))
     return size / moved if moved else 0.0
+
+
+def _swamped_added(found, dataset):
+    """The same of what adds up to places: which is noise as far as neighbouring rows differ."""
+    scatter, levels = np.array(estimate_noise(dataset).sigma), np.array(found.noise.levels)
+    is_more = levels > MOST_SCATTER * scatter
+    whole = float(np.square(levels[np.isfinite(levels)]).sum())
+    return math.sqrt(float(np.square(levels[is_more]).sum()) / whole) if whole else 0.0
 
 
 def extent_of(dataset):

@@ -154,6 +154,7 @@ NOISE = {
     "size": "it is of another size than declared or quoted",
     "autocorrelation": "it has a memory from row to row",
     "tails": "it has heavier tails than a normal distribution",
+    "common": "it is much the same for all bodies at a time, as where a camera shakes",
     "level_of_scene": "its level differs from scene to scene",
     "level_of_body": "its level differs from body to body",
     "level_with_speed": "it grows with the speed",

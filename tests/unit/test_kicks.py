@@ -13,7 +13,7 @@ from bsp_gp.fitting.kinks import kinks
 from bsp_gp.fitting.langevin import Track, _Model, _Part, exponentials, models_of
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import Criteria
-from bsp_gp.loop.proposers.kicks import is_kicked, leaps
+from bsp_gp.loop.proposers.kicks import is_kicked, leaps, shared
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import verdict_sentence
 from bsp_gp.units import UnitSystem
@@ -202,6 +202,22 @@ def recorded(track):
     return Dataset(
         "bead", (scene,), units=UnitSystem.from_declared({"length": "m", "time": "s"})
     )
+
+
+def test_what_shakes_all_beads_alike_kicks_none_of_them():
+    rng = np.random.default_rng(4)
+    camera = kicked(rng, drag=5.0, power=20.0, n_rows=200).places
+    places, names = [], []
+    for k in range(3):
+        own = kicked(rng, drag=5.0, power=20.0, n_rows=200)
+        places.append([own.places + k + own.times[:, None], 0.1 * own.places + k + camera])
+        names.append(Entity(str(k), properties={"mass": 1.0}))
+    for is_shaken, has_kicks in ((0, True), (1, False)):
+        positions = np.stack([p[is_shaken] for p in places], axis=1)
+        data = Dataset("beads", (Scene("a", own.times, positions, tuple(names)),))
+        base = fit(Hypothesis.from_laws(data, "nothing"), data)
+        assert (shared(data, [0, 1]) > 0.9) != has_kicks
+        assert is_kicked(data, base, Criteria()) == has_kicks
 
 
 def test_a_kick_that_is_larger_than_others_cuts_no_recording(monkeypatch):

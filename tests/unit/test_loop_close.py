@@ -343,6 +343,30 @@ def test_numbers_of_each_scene_become_one_where_later_causes_make_them_superfluo
 
 def test_a_term_of_a_sum_that_may_be_zero_is_shed():
     data = unsplit(worlds.linear_drag)
+    last_rounds = summed(data)
+    pruned = prune(last_rounds, data)
+    assert [name for name, _ in pruned.fit.parameters] == ["c"]
+    assert pruned.shed == {last_rounds[0].proposals[1].formulas[0]}
+
+
+def test_a_term_that_may_be_zero_beside_what_no_law_explains_is_shed():
+    data = replace(unsplit(worlds.linear_drag), noise=(0.005,))
+    rng = np.random.default_rng(1)
+    scenes = []
+    for scene in data.scenes:  # a camera that wanders, farther than the noise
+        way = np.cumsum(rng.standard_normal((len(scene.times), 1, 1)), axis=0) * [1.0, 0.0]
+        scenes.append(replace(scene, positions=scene.positions + 0.02 * way, velocities=None))
+    rounds = summed(replace(data, scenes=tuple(scenes)))
+    found = rounds[-1].after
+    a = next(k for k, (name, _) in enumerate(found.parameters) if name == "a")
+    assert abs(found.values[a]) > 3 * found.errors[a]  # of noise alone
+    for clock in (None, Clock(0.0)):  # and where there is no time left, too
+        pruned = prune(rounds, replace(data, scenes=tuple(scenes)), clock=clock, late=Clock(60.0))
+        assert pruned.shed == {rounds[0].proposals[1].formulas[0]}
+
+
+def summed(data):
+    """Rounds the first of which adopted a push and a drag as one sum."""
     first, second = rounds_of(data, "a * e_x", "-c * v_i")
     terms = first.continuing.law.terms[1:] + second.continuing.law.terms[2:]
     proposal = Proposal(
@@ -356,9 +380,7 @@ def test_a_term_of_a_sum_that_may_be_zero_is_shed():
         second, entering=second.after, fits={0: second.after, 1: second.after},
         hypotheses={0: second.continuing, 1: second.continuing},
     )  # fmt: skip
-    pruned = prune([both, last], data)
-    assert pruned.shed == {terms[0].formula}
-    assert [name for name, _ in pruned.fit.parameters] == ["c"]
+    return [both, last]
 
 
 def test_removal_without_time_says_so():

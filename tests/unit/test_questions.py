@@ -34,6 +34,10 @@ def remembered(rng, scene, shape):
     return out
 
 
+def shaken(rng, shape):
+    return (normal(rng, shape) + normal(rng, (shape[0], 1, shape[2]))) / np.sqrt(2)
+
+
 def test_noise_as_declared_shows_nothing():
     found = noise_findings(view_of(throws(np.random.default_rng(7), n_bodies=2, n_rows=80)))
     assert {f.code for f in found} == set(NOISE_FINDINGS) - {"grid"}
@@ -47,6 +51,7 @@ def test_noise_as_declared_shows_nothing():
         (lambda rng, s, z: 1.5 * normal(rng, z), "size", ("", "")),
         (lambda rng, s, z: 0.6 * normal(rng, z), "size", ("", "")),
         (lambda rng, s, z: SIGMA * rng.standard_t(3, z) / np.sqrt(3), "tails", ("", "")),
+        (lambda rng, s, z: shaken(rng, z), "common", ("", "")),
         (lambda rng, s, z: (2 if s == 2 else 0.8) * normal(rng, z), "level_of_scene", ("3", "")),
         (lambda rng, s, z: [[[0.7], [1.4]]] * normal(rng, z), "level_of_body", ("", "2")),
     ],

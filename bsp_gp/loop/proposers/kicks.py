@@ -29,6 +29,9 @@ take one or two, and what nobody lists and pushes a body smoothly eight or more.
 LEAP, LONELY = 7.0, 3.0
 """Standard deviations of other steps, and times the two steps before and after it, from which a
 step is a leap: of the tracker to another bead, or of the slide. No kick of many is so alone."""
+TOGETHER = 0.5
+"""Share of the variance of steps that bodies of a recording have in common, beyond which what
+kicks them is what shows or carries them all: each is kicked by molecules of its own."""
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 UNITS = {
     "drag_rate": DIMENSIONLESS / TIME, "trap_rate": DIMENSIONLESS / TIME**2,
@@ -117,6 +120,8 @@ def _asked(dataset, fit):
     if fit.law.terms or fit.law.frame or is_of_the_sky(dataset):
         return []
     axes = _axes(fit)
+    if shared(dataset, axes) > TOGETHER:
+        return []
     counts = [len(times) for times, _ in _seen(dataset, axes) if len(times) > MOST_ALONE]
     return _tracks(dataset, axes) if min(counts, default=0) >= LEAST_ROWS else []
 
@@ -203,6 +208,21 @@ def _tracks(dataset, axes):
         pieces = zip(np.split(times, at), np.split(places, at), strict=True)
         out += [Track(*piece) for piece in pieces if len(piece[0]) > MOST_ALONE]
     return out
+
+
+def shared(dataset, axes):
+    """Share of the variance of steps that the bodies of a recording have in common."""
+    both, alone = 0.0, 0.0
+    for scene in dataset.scenes:
+        steps = np.diff(scene.positions[:, scene.dynamic][..., axes], axis=0)
+        is_seen = np.isfinite(steps)
+        count = is_seen.all(axis=2).sum(axis=1)[:, None]
+        mean = np.where(is_seen, steps, 0.0).sum(axis=0) / np.maximum(is_seen.sum(axis=0), 1)
+        steps = np.where(is_seen, steps - mean, 0.0)  # a drift is no kick
+        square = np.square(steps).sum(axis=1)
+        both += float((np.square(steps.sum(axis=1)) - square).sum())
+        alone += float(((count - 1).clip(0) * square).sum())
+    return both / alone if alone > 0 else 0.0
 
 
 def _seen(dataset, axes):
