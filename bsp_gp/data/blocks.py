@@ -36,6 +36,9 @@ UNEVEN = 3.0
 """Median intervals up to which one between two rows is no gap."""
 COARSE = 1.5
 """Standard deviations of the noise up to which rounded positions may be averaged."""
+DENSE = 20
+"""Times as many rows as are handled, from which on those are averaged that lie on a grid which
+noise does not fill: nearly all hold the place of the row before."""
 
 
 def in_blocks(dataset, most_rows=MOST_ROWS):
@@ -78,17 +81,16 @@ def _averaged(scene, sigma, declared, most_rows):
     is_known = scene.first is not None  # of the first row, and no mean
     if n <= most_rows or can_touch or is_known or steps.max() > UNEVEN * np.median(steps):
         return scene, 0
-    for k, axis in ((k, axis) for k in moving for axis in axes):
-        gaps = np.diff(np.unique(scene.positions[:MOST_ROWS, k, axis]))
-        if gaps.size and np.nanmin(gaps) > COARSE * sigma[axis]:
-            return scene, 0
+    is_told = scene.sigma is not None or declared is not None
+    is_coarse = _is_coarse(scene, moving, axes, sigma)
+    if is_coarse and (is_told or n <= DENSE * most_rows):
+        return scene, 0
     positions = scene.positions.copy()
     for k in moving:
         positions[gross_errors(scene.times, scene.positions[:, k], sigma) > 1, k] = np.nan
     n_far = int(np.isnan(positions).sum() - np.isnan(scene.positions).sum()) // scene.n_dims
-    tracks, length = positions[:, moving][..., axes], -(-n // most_rows)
-    while length > 1 and not _is_smooth(tracks, sigma[axes], length):
-        length //= 2
+    tracks, longest = positions[:, moving][..., axes], -(-n // most_rows)
+    length = _length_of(tracks, sigma[axes], longest, is_coarse)
     if length < 2:
         return scene, 0
     made = _means(scene, positions, n // length, declared)
@@ -98,11 +100,31 @@ def _averaged(scene, sigma, declared, most_rows):
     return replace(made, positions=made.positions - bend / 24), n_far
 
 
-def _is_smooth(tracks, sigma, length):
-    """Whether tracks (n, R, a) are parabolas within blocks, but for noise of a size (a,)."""
+def _is_coarse(scene, moving, axes, sigma):
+    """Whether places lie on grids that noise does not fill."""
+    for k, axis in ((k, axis) for k in moving for axis in axes):
+        gaps = np.diff(np.unique(scene.positions[:MOST_ROWS, k, axis]))
+        if gaps.size and np.nanmin(gaps) > COARSE * sigma[axis]:
+            return True
+    return False
+
+
+def _length_of(tracks, sigma, longest, is_coarse):
+    """Rows of blocks, a half, quarter ... of the longest, within which tracks are smooth."""
+    length = longest
+    while length > 1 and not _is_smooth(tracks, sigma, length, is_coarse):
+        length //= 2
+    return length
+
+
+def _is_smooth(tracks, sigma, length, is_coarse=False):
+    """Whether tracks (n, R, a) are parabolas within blocks, but for noise of a size (a,).
+
+    That of rows on a coarse grid has a memory: a mean may be as far off as a row is.
+    """
     count = len(tracks) // length
     blocks = tracks[: count * length].reshape(count, length, *tracks.shape[1:])
-    means, error = blocks.mean(axis=1), sigma / np.sqrt(length)
+    means, error = blocks.mean(axis=1), sigma / np.sqrt(1 if is_coarse else length)
     known = np.isfinite(means)
     if 2 * known.all(axis=(1, 2)).sum() < count or count <= 4 * APART:
         return False
@@ -114,6 +136,8 @@ def _is_smooth(tracks, sigma, length):
     at_once = np.diff(means, 2, axis=0)[APART - 1 : 1 - APART] - _differences(means, 2) / APART**2
     if np.nanmax(np.abs(at_once) / error) > KINKED * np.sqrt(6.0):
         return False
+    if is_coarse:
+        return True
     blocks = _of_rows_enough(blocks)
     blocks = blocks[np.isfinite(blocks).all(axis=(1, 2, 3))]
     return len(blocks) > 0 and bool(np.all(_scatter(blocks) < SCATTER * np.square(sigma)))

@@ -17,8 +17,9 @@ from bsp_gp.data.scene import CHECK, Evaluation
 from bsp_gp.fitting.channels import unexplained
 from bsp_gp.fitting.snippets import snippets_under
 
-LEAST_ROWS, LEAST_MOVING, MOST_STILL = 5, 10, 0.75
-"""Rows that stand still at an end, rows that are left, and part of a track that may stand still."""
+LEAST_ROWS, LEAST_MOVING, MOST_STILL, SURELY = 5, 10, 0.75, 100
+"""Rows that stand still at an end, rows that are left, part of a track that may stand still, and
+rows that are surely a motion, however long the rest is."""
 STILL = 3.0
 """Standard deviations by which the scatter of rows that stand still may pass what is expected."""
 NEAR = 0.01
@@ -35,6 +36,8 @@ SETTLED = 0.1
 SMOOTH = 0.5
 """Of the squares of steps from row to row, in those of places about their mean, below which rows
 are a motion: of noise without a memory they are twice as large."""
+SAME = 1e-3
+"""Standard deviations of the noise within which places are the same."""
 HELD, CHANCE = 4.0, 1e-6
 """Reduced chi-squared from which on a law does not follow rows, and the chance of what curves and
 laws leave."""
@@ -146,7 +149,8 @@ def _still_ends(scene, levels, settled=0.0):
     if tail and len(moving) and moving[-BESIDE - 1 :].mean() < ABRUPT * moving.mean():
         is_motion = not settled or _swings(places[seen][len(seen) - tail // 2 :])
         tail = 0 if is_motion else max(tail - int(settled * len(moving)), 0)
-    if head + tail > MOST_STILL * len(seen) or len(seen) - head - tail < LEAST_MOVING:
+    n_moving = len(seen) - head - tail
+    if n_moving < (SURELY if head + tail > MOST_STILL * len(seen) else LEAST_MOVING):
         return 0, 0
     return (
         int(seen[head]) if head else 0,
@@ -156,6 +160,8 @@ def _still_ends(scene, levels, settled=0.0):
 
 def _swings(places):
     """Whether what has nearly settled still goes to and fro, from row to row less than in all."""
+    if np.ptp(places, axis=0).max() < SAME:  # but for rounding
+        return False
     scatter = np.square(places - places.mean(axis=0)).sum()
     return bool(np.square(np.diff(places, axis=0)).sum() < SMOOTH * scatter)
 

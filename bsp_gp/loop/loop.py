@@ -221,17 +221,19 @@ class _Run:
     def round(self, number, hypothesis, found, rng, is_little=False):
         """One round; where little is left of what was missing, with less effort."""
         started = time.monotonic()
-        turn = Turn(self, found, hypothesis, is_little)
-        asked, view = {}, None
+        turn, asked, view = Turn(self, found, hypothesis, is_little), {}, None
         if found.shows_tracks:
             view = self.view_of(found, hypothesis, rng)
             if not found.is_failed:
                 view.noise_findings = noise_findings(view)
-            held = self.held(number, found, hypothesis, view)
+            held = self.held(number, turn, view)
             held = held or self.drawn(number, found, hypothesis, view)
-            turn = held or turn
             if held is None:
-                turn.propose(number, view, self.proposers)
+                known, turn.families = turn.families, []
+                rest = [p for p in self.proposers if not (known and _is_structural(p))]
+                turn.propose(number, view, rest, is_told=True)
+                turn.families += known
+            turn = held or turn
             asked = self.asked(view)
             turn.p_value = turn.p_of_all(view, self.looks)
             if turn.p_value > self.criteria.alpha and turn.ask_the_rest(number, view):
@@ -269,20 +271,26 @@ class _Run:
             aside=aside, usual=usual, **asked,
         )  # fmt: skip
 
-    def held(self, number, found, hypothesis, view):
+    def held(self, number, whole, view):
         """A turn that asks for rods and rails alone, where one is surely seen; else None.
+
+        What was proposed then, and fits, are left to the turn that asks all others.
 
         Nothing else keeps a body at one distance while its speed changes: where such a rod leaves
         little of what the law before it did, forces are asked for beside it, and not in its place.
         """
-        if found.is_failed:
+        if whole.base.is_failed:
             return None
-        turn = Turn(self, found, hypothesis)
-        turn.propose(number, view, [p for p in self.proposers if hasattr(p, "is_structural")])
+        turn = Turn(self, whole.base, whole.hypotheses[0], known=whole.known)
+        turn.propose(number, view, list(filter(_is_structural, self.proposers)))
+        whole.families = [] if turn.left_out or turn.unasked else list(turn.families)
         sole = [(f.name, p) for f in turn.families for p in f.proposals if p.is_sole]
         if not sole or turn.p_of_all(view, self.looks) > self.criteria.alpha:
             return None
         is_whole = turn.fit_held(sole[:MOST_HELD]) and not (turn.left_out or turn.unasked)
+        if not is_whole and self.clock.is_over and len(turn.rows) > 1:
+            turn.note("proposers")  # there is no time to ask any other: what was seen is told
+            return turn
         return turn if is_whole else None
 
     def drawn(self, number, found, hypothesis, view):
@@ -332,3 +340,8 @@ class _Run:
             for c in found.channels if c.variable and c.evidence > 0
         )  # fmt: skip
         return {"trace": found, "varies_with": varies[:MOST_TOLD]}
+
+
+def _is_structural(proposer):
+    """Whether a proposer looks for what holds bodies, which is asked before forces are."""
+    return getattr(proposer, "is_structural", False)

@@ -44,8 +44,10 @@ UNIFORM = frozenset(("e_x", "e_y", "e_z", "up", "down", "m_i"))
 class Rows:
     """Rows, fits and hypotheses of a round, and what was kept of what they promised."""
 
-    def __init__(self, run, found, hypothesis, is_little=False):
+    def __init__(self, run, found, hypothesis, is_little=False, known=None):
         self.run, self.base = run, found
+        # What was fitted to the same base before: source, proposal and what `fit_of` told of it.
+        self.known = {} if known is None else known
         self.most_fits = run.criteria.most_fits // (FEWER if is_little else 1)
         self.near, self.missing = found, 0.0  # where fits begin; chi-squared that is to be gained
         evidence = log_evidence(found, hypothesis, run.criteria)

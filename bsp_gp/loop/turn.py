@@ -73,8 +73,8 @@ class Turn(Rows):
             decision, verdict="cannot tell", reason="time_is_up", is_adopted=False, is_fact=False
         )
 
-    def propose(self, number, view, proposers):
-        """Ask those proposers for which there is time."""
+    def propose(self, number, view, proposers, is_told=False):
+        """Ask those proposers for which there is time, and tell whom if it takes long."""
         self.levels = np.array(view.fit.noise.levels)
         self.near, self.missing = view.near, max(float(view.left @ view.left) - view.n_left, 0.0)
         able = [p for p in proposers if self._may_ask(p)]
@@ -91,7 +91,7 @@ class Turn(Rows):
                 self.unasked = queue[at:]
                 break
             k, n = self.run.proposers.index(proposer) + 1, len(self.run.proposers)
-            if proposers is self.run.proposers:
+            if is_told:
                 self.run.says(f"round {number}: {proposer.name} ({k} of {n})")
             if proposer in here:
                 parts.begin()
@@ -144,7 +144,7 @@ class Turn(Rows):
             self.note("proposers")
         before = self.families, self.near, self.missing, self.levels, self.chances
         self.families = []
-        self.propose(number, view, self.run.proposers)
+        self.propose(number, view, self.run.proposers, is_told=True)
         found = [p.promise for f in self.families for p in f.proposals if p.kind != "noise"]
         if max(found, default=-math.inf) > HALF_AS_MUCH * less + self.run.criteria.noise_nats:
             by_chance = self.p_of_all(view, self.run.looks)
@@ -191,12 +191,13 @@ class Turn(Rows):
             ((f.name, p) for f in self.families for p in f.proposals),
             key=lambda pair: -pair[1].promise,
         )
+        self._take_over()
         queue = Queue(self, every)
         fits, n_fits = self._fits(queue.jobs), 0
         for at, (source, proposal) in enumerate(queue.jobs):
             if self.note_time("fits"):
                 break
-            if queue.passes_over(at):
+            if (proposal.key, proposal.rank) in self.known or queue.passes_over(at):
                 continue
             n_fits += 1  # proposals that are passed over are none of the fits that may yet come
             self.run.says(f"fit {n_fits} of {max(n_fits, queue.n_most)}: {proposal.text}")
@@ -213,6 +214,13 @@ class Turn(Rows):
         self._tell_near(queue)
         self._fit_foreseen()
         self._fit_part()
+
+    def _take_over(self):
+        """Rows of what was fitted before, once."""
+        keys = self._fitted_keys
+        for source, proposal, found in self.known.values():
+            if proposal.key not in keys:
+                self._followed(source, proposal, found)
 
     def _fit_foreseen(self):
         """Fit what is foreseen to be likelier than all that was fitted, with fewer numbers.
@@ -287,7 +295,9 @@ class Turn(Rows):
                     return leaves_little
                 self.run.says(f"fit {k} of {len(queue)}: {one.text}")
                 found = fit_of(self._shared, (source, one))
-                row, _ = self._followed(source, replace(one, instead=None), found)
+                one = replace(one, instead=None)
+                self.known[one.key, one.rank] = source, one, found
+                row, _ = self._followed(source, one, found)
                 if row.is_fit and row.left < MOST_BESIDE * self.rows[0].left:
                     leaves_little = True
                     break

@@ -31,12 +31,13 @@ PLAIN = 2
 """Of these, those of a wall that is smooth and stands along an axis."""
 SLOWING = ("norm(v_i) * normalize(v_i)", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)")
 """What slows bodies between walls: linear and quadratic drag, friction."""
-SELDOM = 0.1
+SELDOM = 0.2
 """Part of the times that bodies turn back at a side at which their velocities jump at a wall."""
 LEAST_SWEPT = 0.02
 """Part of the longest way, along whichever axis, that bodies go along an axis with walls."""
-ALIKE = 0.02
-"""Part of the extent of tracks within which jumps of one wall lie, beside their errors."""
+ALIKE, OUTSIDE = 0.02, 0.2
+"""Part of the extent of tracks within which jumps of one wall lie, beside their errors, and the
+most of the way that bodies go along its axis."""
 ERRORS = 5.0
 FORESEEN = 0.5
 """Part of a turn that the law as it is makes, from which it is no wall's."""
@@ -157,7 +158,8 @@ def walls_at(found, dataset):
         side = 1 if turn[axis] > 0 else -1
         kept = -jump.after[axis] / jump.before[axis] if jump.before[axis] else math.inf
         farthest = side * float(np.nanmin(side * places[:, axis]))
-        is_there = abs(jump.place[axis] - farthest) <= ALIKE * extent + ERRORS * jump.error
+        within = min(ALIKE * extent, OUTSIDE * swept[axis]) + ERRORS * jump.error
+        is_there = abs(jump.place[axis] - farthest) <= within
         if is_there and KEPT[0] <= kept <= KEPT[1]:
             groups.setdefault((axis, side), []).append(jump)
     # Where a spring turns bodies back, or they shake, they are slow; and a row that is off is no
