@@ -27,6 +27,7 @@ from bsp_gp.data.scene import CHECK, PROPERTY_UNITS, SIGHT, SUMS, Entity, FirstS
 from bsp_gp.data.steps import LEAST_ROUNDED, LEAST_TIES
 from bsp_gp.data.table import GAP
 from bsp_gp.data.twice import MOST_SLIPS
+from bsp_gp.data.untimed import without_timeless_ends
 from bsp_gp.errors import DataError
 from bsp_gp.units import ACCELERATION, Unit
 
@@ -130,7 +131,7 @@ def build_rows(table, declaration, conversion, *, scene_name):
     Without a column of scenes all rows are of one, `scene_name`.
     """
     axes, line_notes = axes_of(table, declaration)
-    table, foot_notes = _without_timeless_ends(table)
+    table, foot_notes = without_timeless_ends(table)
     table, gap_notes = _without_gaps(table)
     _require_right_clock(table, axes)
     known, velocities = table.axes, None
@@ -371,22 +372,6 @@ def _refuse_rates(table, declaration, axes):
                 "motion sensor, or of a telephone its distance (LiDAR, sonar) or location (GPS)); "
                 "or, if one of the columns is a position, name it: --columns x=ITS_NAME",
             )  # fmt: skip
-
-
-def _without_timeless_ends(table):
-    """The table without rows at its ends that have no time, as sums and means below it; a note."""
-    if "t" not in table.frame.columns:
-        return table, ()
-    lines = table.frame.index.to_numpy()  # of runs side by side the same ones
-    timed = lines[table.frame["t"].notna().to_numpy()]
-    if not len(timed):
-        return table, ()
-    is_within = (timed.min() <= lines) & (lines <= timed.max())
-    if is_within.all():
-        return table, ()
-    count = len(is_within) - is_within.sum()
-    note = f"{CHECK}{count} row(s) without a time at the ends of the table are left out"
-    return table.of_rows(is_within), (note,)
 
 
 def _without_gaps(table):

@@ -157,6 +157,7 @@ _KEYS = {
 }  # fmt: skip
 """What users call what a column is."""
 _BODY_ANGLE = re.compile(r"(\w+)_(?:theta|phi|angle)")
+_BODY_PLACE = re.compile(r"([xyz])_?(\d+)")
 
 
 def _our_keys(columns):
@@ -169,7 +170,8 @@ def _our_keys(columns):
 def _named_as_ours(columns):
     """Our keys: a lone angle is the coordinate x, each of several that of a body."""
     columns = {
-        _KEYS[key] if key in _KEYS and _KEYS[key] not in columns else key: theirs
+        _KEYS[key] if key in _KEYS and _KEYS[key] not in columns else
+        _BODY_PLACE.sub(r"\2_\1", key) if _BODY_PLACE.fullmatch(key) else key: theirs
         for key, theirs in columns.items()
     }
     angles = [key for key in columns if is_angle_name(key)]

@@ -20,6 +20,7 @@ from bsp_gp.data.point_errors import FAR, gross_errors
 from bsp_gp.data.scene import SUMS
 from bsp_gp.data.table import less
 from bsp_gp.data.twice import MOST_SLIPS
+from bsp_gp.data.untimed import without_timeless_ends
 
 VELOCITIES, ACCELERATIONS = SUMS
 """``[columns] velocity``: places are sums of velocities that alone were measured; these are sums
@@ -100,6 +101,8 @@ def summed(table, declaration, rates):
         Times are lost or do not increase; no track has four values, or these are beyond sensors.
     """
     found, (_, many) = rates.columns, WHAT[rates.velocity]
+    table, told = without_timeless_ends(table)
+    table = table.noted(*told)
     if "t" in table:
         times = table.numbers("t")
     else:

@@ -1,4 +1,4 @@
-"""Tables without a column of times: their rows as frames, where nothing speaks against it."""
+"""Tables without times: their rows as frames, where nothing speaks against it; ends without one."""
 
 from dataclasses import replace
 
@@ -8,6 +8,7 @@ import pandas as pd
 from bsp_gp.data.conversion import TIME, unit_of
 from bsp_gp.data.headings import GUESS, UNKNOWN, is_body, is_rate_of
 from bsp_gp.data.notes import quoted
+from bsp_gp.data.scene import CHECK
 
 COUNTED = "there is no column of times: every row is taken as a frame"
 IN_TURN = "there is no column of times: bodies stand below each other in turn, a frame each round"
@@ -115,3 +116,19 @@ def _remedy_of_doubt(places, names, clocks):
         "and every row is a "
         f"frame: --columns {ignored} and --fps 25"
     )
+
+
+def without_timeless_ends(table):
+    """The table without rows at its ends that have no time, as sums and means below it; a note."""
+    if "t" not in table.frame.columns:
+        return table, ()
+    lines = table.frame.index.to_numpy()  # of runs side by side the same ones
+    timed = lines[table.frame["t"].notna().to_numpy()]
+    if not len(timed):
+        return table, ()
+    is_within = (timed.min() <= lines) & (lines <= timed.max())
+    if is_within.all():
+        return table, ()
+    count = len(is_within) - is_within.sum()
+    note = f"{CHECK}{count} row(s) without a time at the ends of the table are left out"
+    return table.of_rows(is_within), (note,)

@@ -392,7 +392,9 @@ def constant_estimates(found, dataset, bounds=None):
         if found.is_failed:
             ends = (math.nan, math.nan)
         out.append(ConstantEstimate(name, float(value), *map(float, ends), unit, entity, state))
-    return tuple(out)
+    # What acts comes before the places of what holds: a rail may have a dozen numbers.
+    acting = {name for term in found.law.terms for name in term.formula.constants}
+    return tuple(sorted(out, key=lambda c: c.name not in acting))
 
 
 def _correlation(covariance):

@@ -107,6 +107,11 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
     n_modes : int
         Rates that may make it together, one or two: bodies that are tied to each other beat.
     """
+    return modes_of(found, foreseen, body, turns, n_modes)[0]
+
+
+def modes_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=2):
+    """The same, and the next rate beside it that shows, or 0."""
     tracks = join(chains.observed for chains in found.groups)
     if foreseen:
         tracks = tracks - found.residual
@@ -119,7 +124,7 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
     if body is not None:
         kept = [k for k in kept if found.channels.body_names[found.channels.body[k]] == body]
     if (foreseen and found.is_failed) or not kept:
-        return 0.0
+        return 0.0, 0.0
     kept = kept[:: -(-len(kept) // MOST_TRACKS)]
     lesser = {k: _lesser(times[seen[k], k], tracks[seen[k], k]) for k in kept}
     span = float(max(np.ptp(t) for t, _ in lesser.values()))
@@ -135,16 +140,19 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
         rates = every[:: max(round(fading), 1)]
         power = sum(_power(*track, rates, fading / span) for track in own)
         best = int(np.argmax(power))
-        made = power[best]
+        made, second = power[best], 0
         if n_modes > 1:
-            made += np.max(power[np.abs(rates - rates[best]) > 2 * np.pi / span], initial=0.0)
+            others = np.where(np.abs(rates - rates[best]) > 2 * np.pi / span, power, 0.0)
+            second = int(np.argmax(others))
+            made += others[second]
         # What nobody has explained may be all of what was taken for noise.
         noise = min(max(whole - made, 0.0) / max(count, 1), 1.0)
         is_shown = made > max(SWINGING * whole, SHOWN * noise, ROUNDING)
         shown = span * min(SEEN / fading, 1.0) if fading else span
         if is_shown and rates[best] * shown > 2 * np.pi * turns:
-            return float(rates[best])
-    return 0.0
+            is_second = second and others[second] > SHOWN * noise
+            return float(rates[best]), float(rates[second]) if is_second else 0.0
+    return 0.0, 0.0
 
 
 def _lesser(times, x):

@@ -36,6 +36,9 @@ SETTLED = 0.1
 SMOOTH = 0.5
 """Of the squares of steps from row to row, in those of places about their mean, below which rows
 are a motion: of noise without a memory they are twice as large."""
+LAG, WANDERING = 4, 0.5
+"""Rows from one to another in which a random walk goes twice as far as in a step, and part of that,
+squared, and of the steps of others, from which on rows wander."""
 SAME = 1e-3
 """Standard deviations of the noise within which places are the same."""
 HELD, CHANCE = 4.0, 1e-6
@@ -177,7 +180,7 @@ def _n_still(times, places, is_end=False):
     off = int(np.argmax([_n_near(places, is_end), 1 + _n_near(places[1:], is_end)]))
     times, places = times[off:], places[off:]
     n = max(still_rows(places), _n_near(places, is_end))
-    if not LEAST_ROWS <= n < len(places):
+    if not LEAST_ROWS <= n < len(places) or _wanders(places, n):
         return 0
     near = slice(0, min(2 * n, len(places)))
     t = (times[near] - times[0]) / np.ptp(times[near])
@@ -185,6 +188,17 @@ def _n_still(times, places, is_end=False):
     dof = max(left.size - 3 * left.shape[1], 1)
     is_broken = stats.chi2.sf(np.square(left).sum(), dof) < CHANCE
     return off + min(n + BESIDE, len(places)) if is_broken else 0
+
+
+def _wanders(places, n):
+    """Whether the first n rows go on as the others do, by steps at random: nobody holds a bead."""
+    if n < LAG**2:
+        return False
+    own, other, far = (
+        np.sqrt(np.mean(np.square(p[lag:] - p[:-lag])))
+        for p, lag in ((places[:n], 1), (places[n:], 1), (places[:n], LAG))
+    )
+    return bool(own > WANDERING * other and far > WANDERING**0.5 * np.sqrt(LAG) * own)
 
 
 def _n_near(places, is_end):

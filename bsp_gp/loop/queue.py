@@ -88,6 +88,9 @@ class Queue:
         self._fewest[source] = min(proposal.rank, self._fewest.get(source, math.inf))
         measure = turn.measure.get(source, False)
         is_first = at < self.n_first and (is_lesser or is_head)
+        if at < self.n_controls and source in self.of_no_promise and proposal.formulas:
+            # What is fitted whatever it promises is spare only where all is explained.
+            return proposal.n_laws > turn.enough or turn.nats_behind(proposal) > 0.0
         if turn.is_behind(proposal, {measure} if is_first else {False, True}):
             return True
         reach = REACH * (proposal.promise + turn.run.criteria.class_nats)

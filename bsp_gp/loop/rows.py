@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bsp_gp.data.noise import estimate_noise
 from bsp_gp.fitting.followed import PASSES, cut_short
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.contacts import Kick
@@ -30,6 +31,8 @@ SPARE = {True: 0.02, False: 0.002}
 numbers of an instrument; and moments, beside what the kept one leaves of them beyond the noise."""
 FEWER = 2
 """Times fewer fits and no seconds where rounds before have left little of what is missing."""
+MOST_SCATTER = 2.0
+"""Times as much as neighbouring rows differ by, from which what is measured is no noise of it."""
 WITHIN_NOISE = 3.0
 """Standard deviations of chi-squared within which a law leaves nothing for a sum with more laws."""
 NEARLY_NOTHING, CLEARLY_LESS = 1e-3, 0.7

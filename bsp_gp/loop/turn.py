@@ -75,7 +75,9 @@ class Turn(Rows):
 
     def propose(self, number, view, proposers, is_told=False):
         """Ask those proposers for which there is time, and tell whom if it takes long."""
-        self.levels = np.array(view.fit.noise.levels)
+        # What noise with a memory takes of a motion no law has explained.
+        is_swamped = self.swamped > SWAMPED
+        self.levels = view.scatter if is_swamped else np.array(view.fit.noise.levels)
         self.near, self.missing = view.near, max(float(view.left @ view.left) - view.n_left, 0.0)
         able = [p for p in proposers if self._may_ask(p)]
         here = [p for p in able if not getattr(p, "is_alone", True)]

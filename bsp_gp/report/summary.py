@@ -30,7 +30,7 @@ from bsp_gp.report.traces import trace_sentence
 from bsp_gp.units import is_speed
 
 WIDTH = 100
-_MAX_CONSTANTS = 5
+_MAX_CONSTANTS = 8
 _MAX_ROUNDS = 4
 _MAX_CHECKS = 3
 

@@ -32,6 +32,8 @@ step is a leap: of the tracker to another bead, or of the slide. No kick of many
 TOGETHER = 0.5
 """Share of the variance of steps that bodies of a recording have in common, beyond which what
 kicks them is what shows or carries them all: each is kicked by molecules of its own."""
+SLACK = 0.5
+"""Part of a track in which a trap would bring back what it holds, below which it is none."""
 LENGTH, TIME = Unit.of(m=1), Unit.of(s=1)
 UNITS = {
     "drag_rate": DIMENSIONLESS / TIME, "trap_rate": DIMENSIONLESS / TIME**2,
@@ -147,9 +149,22 @@ def _likeliest(tracks, fit, criteria, tick=None):
     models = models_of(tracks, noise, criteria.class_nats, tick)
     near = [m for m in models if models[0].score - m.score <= criteria.class_nats]
     able = [m for m in near if m.oddity >= criteria.alpha]
+    # What hardly comes back during a track is no more seen to be in a trap than to drift.
+    span = max(float(np.ptp(t.times)) for t in tracks)
+    if any("push" in m.terms for m in able):
+        able = [m for m in able if not _is_slack(m, span)]
     # Of models that are about as likely the one that says least.
     alike = [m for m in able if able[0].score - m.score < criteria.tie_nats]
     return min(alike, key=lambda m: len(m.terms), default=models[0]), models
+
+
+def _is_slack(model, span):
+    """Whether a trap brings nothing back within so many seconds."""
+    if "trap" not in model.terms:
+        return False
+    # With inertia as well, if drag brings bodies to rest sooner than the trap brings them back.
+    drag = 1.0 if model.is_overdamped else model.values.get("drag_rate", (0.0,))[0]
+    return drag > 0 and model.values["trap_rate"][0] * span < SLACK * drag
 
 
 def _are_told(model, criteria):

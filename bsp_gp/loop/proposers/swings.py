@@ -12,7 +12,7 @@ import numpy as np
 
 from bsp_gp.fitting.channels import join
 from bsp_gp.fitting.hypothesis import Forces
-from bsp_gp.fitting.periodogram import longest, swing_of
+from bsp_gp.fitting.periodogram import longest, modes_of, swing_of
 from bsp_gp.language.formula import Call, Constant, Input, rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.proposal import Family, with_term
@@ -177,8 +177,9 @@ def _coupled(view, search, form, rates, is_apart):
         Call("mul", Constant(drag + by), velocity),
     )  # fmt: skip
     mass, rate = _mass(dataset.scenes), float(np.median(list(rates.values())))
+    together, apart = _modes(view, rate)
     amounts = {
-        strength: mass * rate**2, across: COUPLING * mass * rate**2,
+        strength: mass * together**2, across: mass * (apart**2 - together**2) / 2,
         drag: -mass * max(_decay(view.fit), LEAST_DRAG * rate),
     }  # fmt: skip
     constants = {
@@ -192,6 +193,29 @@ def _coupled(view, search, form, rates, is_apart):
         rank=2 * len(centres) + (6 if is_apart else 3), ties=(), is_afresh=True,
         log_prior=spring.log_prior - (3 if is_apart else 2) * view.criteria.cause_nats,
     )  # fmt: skip
+
+
+def _modes(view, rate):
+    """The rates at which two bodies swing the same way, and against each other, rad/s.
+
+    They are those of bodies that a weak spring ties, where but one is seen.
+    """
+    found = [modes_of(view.fit, body=name) for name in view.fit.channels.body_names]
+    first, second = max(found, key=lambda pair: pair[1])
+    if not second:
+        return rate, rate * math.sqrt(1 + 2 * COUPLING)
+    alike = 0.0  # how surely the first is one in which both go the same way
+    for scene in view.dataset.scenes:
+        places = scene.positions[:, scene.dynamic]
+        seen = np.isfinite(places).all(axis=(1, 2))
+        waves = np.column_stack(
+            [np.ones(seen.sum())]
+            + [f(one * scene.times[seen]) for one in (first, second) for f in (np.cos, np.sin)]
+        )
+        flat = places[seen].reshape(len(waves), -1)
+        numbers = np.linalg.lstsq(waves, flat, rcond=None)[0].reshape(5, 2, -1)
+        alike += float((numbers[1:3, 0] * numbers[1:3, 1]).sum())
+    return (first, second) if alike > 0 else (second, first)
 
 
 def _middles(dataset, name, bodies):
