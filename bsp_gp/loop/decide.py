@@ -18,7 +18,8 @@ HARDLY_MORE = 2.0
 AS_LITTLE = 1.1
 """Times what a cause leaves that another may leave to be as good."""
 PLAIN = 0.1
-"""Part of what the base leaves, up to which a uniform push that leaves as much is taken first."""
+"""Part of what the base leaves, up to which a uniform push that leaves as much is taken first, and
+forces without a push that has the period of the swing."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,8 @@ def decide(table, criteria=None):
         return Decision("effect adopted", "adopted", weight, True, is_beside_more=True)
     if (first := _cause_before_kicks(best, candidates)) is not None:
         return Decision("effect adopted", "adopted", first, True)
+    if (plain := _without_echo(best, candidates, table.base)) is not None:
+        return Decision("effect adopted", "adopted", plain, True)
     if tied:
         return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
     return Decision("effect adopted", "adopted", best, True, rivals, is_fact)
@@ -152,6 +155,20 @@ def _cause_before_kicks(best, candidates):
     return next(
         (row for row in candidates if row.kind in FORESEEING and not row.n_kicks
          and row.left < HARDLY_MORE * best.left), None
+    )  # fmt: skip
+
+
+def _without_echo(best, candidates, base):
+    """The likeliest forces that leave little, where a sum with an echo in it leaves less; or None.
+
+    A push with the period of the swing is the first harmonic of whatever the law has otherwise,
+    such as friction. It is asked for beside these.
+    """
+    if not best.is_echo:
+        return None
+    return next(
+        (row for row in candidates if row.kind == best.kind and not row.is_echo
+         and row.left < PLAIN * base.left), None
     )  # fmt: skip
 
 

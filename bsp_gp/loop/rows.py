@@ -13,6 +13,7 @@ from bsp_gp.fitting.followed import PASSES, cut_short
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.fitting.parts.cut_short import CutShort
+from bsp_gp.fitting.periodogram import is_of_swing, rates_in
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.loop.decide import SWAMPED
 from bsp_gp.loop.evidence import log_evidence
@@ -298,6 +299,14 @@ class Rows:
                 return True
         return False
 
+    def _is_echo(self, proposal, found):
+        """Whether a sum has a push in it with the period of the swing: a harmonic of anything."""
+        if found is None or found.is_failed or len(proposal.formulas) < 2:
+            return False
+        rates = [name for formula in proposal.formulas for name in rates_in(formula)]
+        constants = found.law.constants
+        return any(is_of_swing(constants[name], self.base) for name in rates if name in constants)
+
     def _twin(self, source, proposal, new):
         """The key of an earlier row to whose minimum a descent from elsewhere has come; or None."""
         may_be = proposal.starts and not proposal.formulas and not new.is_failed
@@ -322,7 +331,7 @@ class Rows:
                 n_pushes=sum(set(formula.inputs) <= UNIFORM for formula in proposal.formulas),
                 n_kicks=_n_kicks(proposal.hypothesis) - _n_kicks(self.hypotheses[0]),
                 is_of_pairs=any(n[-2:] == "_j" for f in proposal.formulas for n in f.inputs),
-                is_alike=proposal.is_alike,
+                is_alike=proposal.is_alike, is_echo=self._is_echo(proposal, self.fits.get(number)),
                 left=_left_by(self.fits.get(number), self.fits[0].n_rows),
             )
         )  # fmt: skip

@@ -62,6 +62,8 @@ class Row:
         Whether it adds a force between bodies.
     is_alike : bool
         Whether other kinds of causes that leave as little are as good, see `Proposal`.
+    is_echo : bool
+        Whether it is a sum with a push in it whose period is that of the swing itself.
     left : float, m
         Root mean square of what its fit leaves; nan where that is not known.
     """
@@ -87,6 +89,7 @@ class Row:
     n_kicks: int = 0
     is_of_pairs: bool = False
     is_alike: bool = False
+    is_echo: bool = False
     left: float = math.nan
 
     @property

@@ -366,7 +366,8 @@ def doubt_of_periods(rounds, removed):
                 rate = found.law.constants[name]
                 if rate * longest(found) < 2 * math.pi * FEWEST_PERIODS:
                     return "few_periods"
-                if r.decision.best.code == "period" and is_of_swing(rate, r.entering):
+                is_sum = r.decision.best.n_terms > 1
+                if (is_sum or r.decision.best.code == "period") and is_of_swing(rate, r.entering):
                     return "own_period"
     return ""
 
