@@ -13,7 +13,15 @@ from bsp_gp.loop.foresight import is_foreseen
 from bsp_gp.loop.forms import led_by, with_one_strength, without_weakest
 from bsp_gp.loop.proposal import both_of
 from bsp_gp.loop.queue import REACH, Queue, is_misread
-from bsp_gp.loop.rows import EXPLAINED, FAR_BEHIND, UNIFORM, Rows, extent_of, fit_of
+from bsp_gp.loop.rows import (
+    CLEARLY_LESS,
+    EXPLAINED,
+    FAR_BEHIND,
+    UNIFORM,
+    Rows,
+    extent_of,
+    fit_of,
+)
 from bsp_gp.loop.table import HeldOut, part_of
 from bsp_gp.loop.view import selected
 
@@ -221,7 +229,7 @@ class Turn(Rows):
         """Rows of what was fitted before, once."""
         keys = self._fitted_keys
         for source, proposal, found in self.known.values():
-            if proposal.key not in keys:
+            if found is not None and proposal.key not in keys:
                 self._followed(source, proposal, found)
 
     def _fit_foreseen(self):
@@ -292,6 +300,7 @@ class Turn(Rows):
         """
         leaves_little = False
         for k, (source, proposal) in enumerate(queue, 1):
+            before = None
             for one in filter(None, (proposal, proposal.instead)):
                 if self.note_time("fits"):
                     return leaves_little
@@ -300,6 +309,11 @@ class Turn(Rows):
                 one = replace(one, instead=None)
                 self.known[one.key, one.rank] = source, one, found
                 row, _ = self._followed(source, one, found)
+                if before is not None and row.is_fit and row.left < CLEARLY_LESS * before.left:
+                    # Beside forces that know no physics the rod alone is as good: it is no law.
+                    self.rows[before.id] = replace(before, status="less")
+                    self.known[proposal.key, proposal.rank] = source, proposal, None
+                before = row
                 if row.is_fit and row.left < MOST_BESIDE * self.rows[0].left:
                     leaves_little = True
                     break

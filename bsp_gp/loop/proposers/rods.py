@@ -10,11 +10,13 @@ from scipy.optimize import least_squares
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.parts.constraints import read_constraint
+from bsp_gp.fitting.periodogram import swing_of
 from bsp_gp.fitting.probes import probe_terms
 from bsp_gp.language.formula import Call, Constant, Input
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.loop.proposers.periods import coordinate_of
+from bsp_gp.loop.proposers.swings import decay_of, usual_mass
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
@@ -294,13 +296,13 @@ def _proposal(view, kept, every, n_tried):
         part = read_constraint(view.dataset, kept.text.format(*names), (kept.pair,), numbers)
     except LawError:  # masses that a rod would need are not known
         return None
-    pushes, braked = _pushes(view, kept)
+    pushes, braked, starts = _pushes(view, kept)
     log_prior = -view.criteria.cause_nats * (1 + len(pushes)) - math.log(n_tried)
     text = kept.text.format(*(f"{value:.4g}" for value in kept.values))
     for letter, name in zip("ij", kept.pair, strict=True):
         text = text.replace(f"_{letter}", f"_{name}") if name else text
     is_sole = kept.is_sole and _share(fit, every) > MOST
-    hypothesis = _under(view.hypothesis + part, pushes)
+    hypothesis = _under(view.hypothesis + part, pushes, starts)
     proposal = Proposal(
         kept.code, text, hypothesis, log_prior, gain, len(names) + len(pushes), kind="constraint",
         judged=beside_probes(fit, hypothesis), error=level, is_sole=is_sole, patience=PATIENT,
@@ -310,34 +312,46 @@ def _proposal(view, kept, every, n_tried):
         return proposal
     # What is slowed down on its way over the top is not followed without that.
     other = replace(
-        proposal, hypothesis=_under(hypothesis, braked), rank=proposal.rank + len(braked),
+        proposal, hypothesis=_under(hypothesis, braked, starts), rank=proposal.rank + len(braked),
         log_prior=log_prior - view.criteria.cause_nats,
     )  # fmt: skip
     return replace(proposal, instead=other)
 
 
-def _under(hypothesis, terms):
-    """A hypothesis with forces of unknown strengths."""
+def _under(hypothesis, terms, starts):
+    """A hypothesis with forces, of unknown strengths where no start is known."""
     if not terms:
         return hypothesis
-    strengths = {name: math.nan for term in terms for name in term.formula.constants}
+    names = [name for term in terms for name in term.formula.constants]
+    strengths = {name: starts.get(name, math.nan) for name in names}
     return hypothesis + Forces(ForceLaw(terms, strengths))
 
 
 def _pushes(view, kept):
-    """The weight that keeps a held body swinging, where no force at all is known, and a drag."""
+    """The weight that keeps a held body swinging, where no force at all is known, and a drag.
+
+    And what they begin with, by the rate of the swing and how it fades: whole tracks that begin out
+    of step do not find it.
+    """
     if view.fit.law.terms or not (kept.is_sole and kept.way):
-        return (), ()
+        return (), (), {}
     law, terms, most = view.fit.law, [], max(map(abs, kept.way))
+    mass, rate = usual_mass(view.dataset.scenes), 0.0
+    if kept.code == "rod":
+        rate = swing_of(view.fit, body=kept.pair[0])
+    pull, starts = mass * rate**2 * kept.values[-1] / math.hypot(*kept.way), {}
     types = dataset_types(view.dataset)
     for axis, along in enumerate(kept.way):
         if abs(along) > LEANING * most:
             name = fresh_name(law, "c")
             push = Call("mul", Constant(name), coordinate_of(types, axis)[1])
             terms.append(Term(push, "field"))
+            starts |= {name: pull * along} if rate else {}
             law = law.plus(terms[-1], {name: math.nan})
-    drag = Call("mul", Constant(fresh_name(law, "c")), Input("v_i", STATE_INPUTS["v_i"]))
-    return tuple(terms), (Term(drag, "field"),)
+    name = fresh_name(law, "c")
+    drag = Call("mul", Constant(name), Input("v_i", STATE_INPUTS["v_i"]))
+    starts |= {name: -mass * decay_of(view.fit)} if rate else {}
+    return tuple(terms), (Term(drag, "field"),), starts
 
 
 def beside_probes(fit, hypothesis):

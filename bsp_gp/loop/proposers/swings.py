@@ -176,11 +176,11 @@ def _coupled(view, search, form, rates, is_apart):
         formula, Call("mul", Constant(across + by), Call("sub", other, place)),
         Call("mul", Constant(drag + by), velocity),
     )  # fmt: skip
-    mass, rate = _mass(dataset.scenes), float(np.median(list(rates.values())))
+    mass, rate = usual_mass(dataset.scenes), float(np.median(list(rates.values())))
     together, apart = _modes(view, rate)
     amounts = {
         strength: mass * together**2, across: mass * (apart**2 - together**2) / 2,
-        drag: -mass * max(_decay(view.fit), LEAST_DRAG * rate),
+        drag: -mass * max(decay_of(view.fit), LEAST_DRAG * rate),
     }  # fmt: skip
     constants = {
         name + by: dict.fromkeys(rates, value) if by else value for name, value in amounts.items()
@@ -231,7 +231,7 @@ def _middles(dataset, name, bodies):
 def _slowed(view, search, form, rate):
     """A spring about the middle of all places, as stiff as swings are fast, and a drag."""
     spring, scenes = _about(view, search, form), view.dataset.scenes
-    mass = _mass(scenes)
+    mass = usual_mass(scenes)
     strength = next(iter(spring.formulas[0].constants))
     stiffness = mass * rate**2
     if _is_sine(form):  # which swings the more slowly the wider it does
@@ -242,7 +242,7 @@ def _slowed(view, search, form, rate):
     law = spring.hypothesis.law
     name = fresh_name(law, "c")
     slowing = Call("mul", Constant(name), Input("v_i", dataset_types(view.dataset)["v_i"]))
-    drag = -mass * max(_decay(view.fit), LEAST_DRAG * rate)
+    drag = -mass * max(decay_of(view.fit), LEAST_DRAG * rate)
     return replace(
         spring, text=f"{spring.text} + {to_text(slowing)}",
         hypothesis=with_term(spring.hypothesis, Term(slowing, "field"), {name: drag}),
@@ -252,14 +252,14 @@ def _slowed(view, search, form, rate):
     )  # fmt: skip
 
 
-def _mass(scenes):
+def usual_mass(scenes):
     """A mass that bodies have, kg; 1 where none is known."""
     masses = np.array([s.entities[s.dynamic[0]].mass for s in scenes], dtype=float)
     known = masses[np.isfinite(masses)]
     return float(np.median(known)) if len(known) else 1.0
 
 
-def _decay(found):
+def decay_of(found):
     """The rate at which velocities die away, 1/s, by the sizes of two halves of tracks."""
     early = late = 0.0
     for track in join(chains.observed for chains in found.groups).T:
