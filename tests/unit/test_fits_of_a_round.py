@@ -89,7 +89,7 @@ def test_what_was_not_asked_is_told_though_all_is_asked_under_other_noise():
     turn = SimpleNamespace(
         unasked=["walls"], left_out=[], families=[], near=None, missing=0.0, levels=None,
         chances={}, run=SimpleNamespace(proposers=(), criteria=Criteria()),
-        propose=lambda *asked: setattr(turn, "unasked", []),
+        propose=lambda *asked, **told: setattr(turn, "unasked", []),
     )  # fmt: skip
     turn.note = turn.left_out.append
     Turn.ask_without_memory(turn, 1, SimpleNamespace(in_white=lambda: (None, 0.0)))

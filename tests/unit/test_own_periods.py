@@ -41,7 +41,7 @@ STRONG = "(1 + a1 * cos(w1 * t) + b1 * sin(w1 * t)) * (9.81 [m/s^2] * m_i * down
 def round_of(found, rate, code="period", text=WAVE):
     law = read_law(bob(n=300), [text]).with_constants({"w1": rate, "a1": 1.0, "b1": 1.0})
     after = SimpleNamespace(law=law, channels=found.channels)
-    best = SimpleNamespace(id=1, code=code)
+    best = SimpleNamespace(id=1, code=code, n_terms=1)
     return SimpleNamespace(
         number=1, entering=found, fits={1: after},
         decision=SimpleNamespace(is_adopted=True, best=best),

@@ -220,7 +220,7 @@ def test_a_declared_term_of_the_wrong_sign_is_said():
 
 def test_noise_is_held_against_the_motion_where_there_is_no_law():
     data = throws(n_scenes=1, n_times=40)
-    noise = SimpleNamespace(correlated=0.81, levels=(0.3, np.inf))
+    noise = SimpleNamespace(correlated=0.81, levels=(0.3, np.inf), adding=None)
     (scene,) = data.scenes
     places = scene.positions[:, 0]
     moved = np.sqrt(places.var(axis=0).sum())

@@ -206,16 +206,19 @@ def _modes(view, rate):
         return rate, rate * math.sqrt(1 + 2 * COUPLING)
     alike = 0.0  # how surely the first is one in which both go the same way
     for scene in view.dataset.scenes:
-        places = scene.positions[:, scene.dynamic]
-        seen = np.isfinite(places).all(axis=(1, 2))
-        waves = np.column_stack(
-            [np.ones(seen.sum())]
-            + [f(one * scene.times[seen]) for one in (first, second) for f in (np.cos, np.sin)]
+        one, other = (
+            _amplitudes(scene.times, scene.positions[:, k], (first, second)) for k in scene.dynamic
         )
-        flat = places[seen].reshape(len(waves), -1)
-        numbers = np.linalg.lstsq(waves, flat, rcond=None)[0].reshape(5, 2, -1)
-        alike += float((numbers[1:3, 0] * numbers[1:3, 1]).sum())
+        alike += float((one[0] * other[0]).sum())
     return (first, second) if alike > 0 else (second, first)
+
+
+def _amplitudes(times, places, rates):
+    """Cosines and sines of rates that a track (T, d) is made of, about, (rates, 2, d)."""
+    seen = np.isfinite(places).all(axis=1)
+    waves = [f(rate * times[seen]) for rate in rates for f in (np.cos, np.sin)]
+    columns = np.column_stack([np.ones(seen.sum()), *waves])
+    return np.linalg.lstsq(columns, places[seen], rcond=None)[0][1:].reshape(len(rates), 2, -1)
 
 
 def _middles(dataset, name, bodies):

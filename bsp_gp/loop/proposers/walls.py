@@ -31,9 +31,9 @@ PLAIN = 2
 """Of these, those of a wall that is smooth and stands along an axis."""
 SLOWING = ("norm(v_i) * normalize(v_i)", "norm(v_i)^2 * normalize(v_i)", "normalize(v_i)")
 """What slows bodies between walls: linear and quadratic drag, friction."""
-SELDOM = 0.2
+SELDOM = 0.1
 """Part of the times that bodies turn back at a side at which their velocities jump at a wall."""
-LEAST_SWEPT = 0.02
+LEAST_SWEPT = 0.05
 """Part of the longest way, along whichever axis, that bodies go along an axis with walls."""
 ALIKE, OUTSIDE = 0.02, 0.2
 """Part of the extent of tracks within which jumps of one wall lie, beside their errors, and the
