@@ -9,7 +9,8 @@ import bsp_gp
 from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.loop.close import close_loop
-from bsp_gp.loop.proposers.swings import are_coupled
+from bsp_gp.loop.proposers.swings import _modes, are_coupled
+from bsp_gp.loop.view import View
 
 STIFFNESS, COUPLING, DRAG, RESTS = 19.8, 0.9, 0.04, (0.4, 0.48)
 LAW = ["c1 * (origin - p_i)", "c2 * (p_j - p_i)", "c3 * v_i", "c4[body] * e_x"]
@@ -51,6 +52,26 @@ def test_bodies_that_are_seen_at_times_of_their_own_are_fitted():
     assert told["c2", ""] == pytest.approx(COUPLING, rel=0.02)
     assert told["c3", ""] == pytest.approx(-DRAG, rel=0.05)
     assert found.noise.levels[0] == pytest.approx(5e-4, rel=0.15)
+
+
+def test_what_ties_bodies_firmly_begins_at_both_rates_of_the_swing(monkeypatch):
+    """Two carts on three springs swing 1.8 times as fast against each other as together."""
+    monkeypatch.setattr(f"{__name__}.COUPLING", 22.0)
+    data = coupled(n=400, lag=0.0)
+    hypothesis = Hypothesis.from_laws(data, "nothing")
+    view = View(fit(hypothesis, data), hypothesis, data, np.random.default_rng(0))
+    together, apart = _modes(view, 8.0)
+    assert together == pytest.approx(np.sqrt(STIFFNESS), rel=0.02)
+    assert apart == pytest.approx(np.sqrt(STIFFNESS + 44.0), rel=0.02)
+
+
+@pytest.mark.slow
+def test_bodies_that_are_tied_firmly_are_told_so(monkeypatch):
+    monkeypatch.setattr(f"{__name__}.COUPLING", 22.0)
+    report = close_loop(coupled(n=300, lag=0.0), "nothing", rng=0, n_bootstrap=0)
+    told = {c.name.split("[")[0]: c.value for c in report.constants}
+    assert told["k1"] == pytest.approx(22.0, rel=0.1)
+    assert told["c1"] == pytest.approx(STIFFNESS, rel=0.1)
 
 
 def test_two_bodies_that_swing_about_as_fast_may_be_tied():

@@ -106,6 +106,18 @@ def test_a_planet_comes_before_many_kicks_that_leave_hardly_less():
     assert decided(kicks, lens, base=base).best.id == 1
 
 
+def test_forces_come_before_a_push_that_has_the_period_of_the_swing():
+    """Dry friction of a pendulum was told as a push at its own rate, with seven numbers."""
+    base = replace(BASE, left=1.0)
+    echo = row(1, gain=900.0, n_terms=3, left=0.005, is_echo=True)
+    friction = row(2, gain=700.0, n_terms=2, left=0.04)
+    said = decided(echo, friction, base=base)
+    assert said.best.id == 2 and said.is_adopted and not said.is_fact
+    assert decided(replace(echo, is_echo=False), friction, base=base).best.id == 1
+    assert decided(echo, replace(friction, left=0.3), base=base).best.id == 1
+    assert decided(echo, replace(friction, is_echo=True), base=base).best.id == 1
+
+
 @pytest.mark.parametrize(
     ("p", "noise_p", "verdict"),
     [(0.5, 1.0, "nothing missing"), (1e-6, 1e-6, "the noise is not as assumed")],

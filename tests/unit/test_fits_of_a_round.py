@@ -124,3 +124,20 @@ def test_a_law_is_not_less_for_noise_that_was_not_fitted_beside_it():
     found = replace(base, log_likelihood=base.log_likelihood - size)
     assert is_less(base, found) and is_less(base, found, 0.5 * size)
     assert not is_less(base, found, 1.5 * size)
+
+
+def test_rods_that_were_fitted_before_all_others_are_not_fitted_again():
+    """Where the time was up behind them a bowl was told as no law at all."""
+    data = throws(n_scenes=3, n_times=12)
+    hypothesis = Hypothesis.from_laws(data, ())
+    run = SimpleNamespace(
+        criteria=Criteria(), dataset=data, bounds={}, clock=Clock(None), proposers=(),
+    )  # fmt: skip
+    begun = fit(hypothesis, data)
+    rod = Proposal("rod", "L", hypothesis, 0.0, 1.0, rank=2, kind="constraint")
+    known = {(rod.key, 2): ("constraints", rod, (begun, begun, 5.0)),
+             (rod.key, 1): ("constraints", replace(rod, rank=1), None)}  # fmt: skip
+    turn = Turn(run, begun, hypothesis, known=known)
+    turn._take_over()
+    turn._take_over()
+    assert [row.code for row in turn.rows] == ["base", "rod"]

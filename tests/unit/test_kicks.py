@@ -1,5 +1,7 @@
 """Random kicks: an exact likelihood, the right terms, and no kicks where there are none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -13,7 +15,7 @@ from bsp_gp.fitting.kinks import kinks
 from bsp_gp.fitting.langevin import Track, _Model, _Part, exponentials, models_of
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.criteria import Criteria
-from bsp_gp.loop.proposers.kicks import is_kicked, leaps, shared
+from bsp_gp.loop.proposers.kicks import _likeliest, is_kicked, leaps, shared
 from bsp_gp.report.page import page_of
 from bsp_gp.report.sentences import verdict_sentence
 from bsp_gp.units import UnitSystem
@@ -303,6 +305,24 @@ def test_a_track_that_leaps_to_another_bead_is_cut_there():
     assert leaps(np.arange(400.0), places).tolist() == [250]
     fast = np.cumsum(steps + 2.0 * np.exp(-np.arange(400)[:, None] / 5.0), axis=0)
     assert 1 not in leaps(np.arange(400.0), fast)  # what is fast at first is no leap
+
+
+def test_a_drift_is_no_trap_far_away():
+    track = wandering(1e-3, n_rows=1500)
+    drifting = replace(track, places=track.places + 1.5 * track.times[:, None])
+    data = Dataset("bead", (Scene("a", track.times, drifting.places[:, None], (Entity("bead"),)),))
+    base = fit(Hypothesis.from_laws(data, "nothing"), data)
+    best, _ = _likeliest([drifting], base, Criteria())
+    assert "push" in best.terms and "trap" not in best.terms
+
+
+def test_what_shakes_a_little_hides_no_kicks():
+    """A table or a camera that shakes makes errors of forecasts alike, if one looks for long."""
+    track = wandering(1e-3, noise=0.05, n_rows=4000)
+    shake = 0.05 * np.sin(2 * np.pi * track.times / 0.05)[:, None]
+    shaken = replace(track, places=track.places + shake)
+    best = models_of([shaken], near=8.0)[0]
+    assert "kicks" in best.terms and best.oddity > 0.01
 
 
 def test_noise_that_is_not_seen_has_a_limit():

@@ -49,6 +49,16 @@ def test_of_an_object_that_is_left_out_no_other_column_is_a_place(table):
     np.testing.assert_array_equal(data.scenes[0].positions[:, 0, 0], T)
 
 
+@pytest.mark.parametrize("names", ["x1 x2", "x_1 x_2", "1_x 2_x"])
+def test_numbered_places_that_are_named_are_bodies(names):
+    """`x1=4` of a table without a header was told that there is no column 4 beside 1 to 5."""
+    table = pd.DataFrame({"t": T, "4": T, "5": T * T})
+    data = Dataset.from_frames(table, columns=dict(zip(names.split(), "45", strict=True)))
+    assert sorted(data.scenes[0].names) == ["1", "2"]
+    k = data.scenes[0].names.index("2")
+    np.testing.assert_array_equal(data.scenes[0].positions[:, k, 0], T * T)
+
+
 def test_a_plain_place_gives_way_to_one_that_is_named():
     table = pd.DataFrame({"t": T, "x": 0 * T, "y": 0 * T, "X2": T, "Y2": T * T})
     data = Dataset.from_frames(table, columns={"x": "X2", "y": "Y2"})

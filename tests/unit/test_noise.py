@@ -190,6 +190,13 @@ def test_exact_motion_is_no_grid(x):
     assert np.all(np.array(found.sigma) < 1e-7 * np.ptp(x, axis=0))
 
 
+def test_a_column_of_two_values_is_no_better_than_their_distance():
+    """Of a set point that was logged as a place the noise was told to be 5e-16 m."""
+    x = np.where(np.arange(200) // 70 % 2, 0.0050, 0.0045)
+    found = estimate(np.stack([x, np.zeros(200)], axis=1))
+    assert found.sigma[0] == pytest.approx(5e-4 / np.sqrt(12))
+
+
 def test_what_is_declared_is_not_changed_by_a_grid():
     scene = Scene("s", T, np.round(drift(T))[:, None], (BALL,))
     found = estimate_noise(Dataset("d", (scene,), noise=(0.01,)))

@@ -28,6 +28,14 @@ def rng():
     return np.random.default_rng(0)
 
 
+def test_rows_at_the_end_that_have_no_time_are_left_out():
+    """Of two clocks side by side one is a row shorter."""
+    times, v = np.append(np.arange(40) * STEP, np.nan), np.append(np.cos(np.arange(40)), np.nan)
+    data = Dataset.from_frames(pd.DataFrame({"t (s)": times, "v (m/s)": v}))
+    assert len(data.scenes[0].times) == 41  # places are between and beyond velocities
+    assert any("without a time" in note for note in data.notes)
+
+
 @pytest.fixture
 def table(rng):
     t, v = swinging(rng)

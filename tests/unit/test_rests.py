@@ -37,6 +37,24 @@ def checks(dataset):
     return [note for note in dataset.notes if note.startswith("check: ")]
 
 
+def test_a_long_rest_behind_a_motion_of_many_rows_is_left_out():
+    """A pendulum that friction stops lay still for three quarters of its recording and more."""
+    t = 0.02 * np.arange(1200)
+    x = np.maximum(1 - 0.2 * t, 0) * np.cos(8 * t)
+    data = bsp_gp.Dataset.from_frames(pd.DataFrame({"t": t, "x": x, "y": 0.0}), units=UNITS)
+    cut = without_still_ends(data)
+    assert 200 < len(cut.scenes[0].times) < 400 and len(checks(cut)) == 1
+
+
+def test_a_bead_that_wanders_is_held_by_nobody():
+    rng = np.random.default_rng(0)
+    places = np.cumsum(rng.standard_normal((2000, 2)), axis=0)
+    places[:40] = places[0] + 0.5 * (places[:40] - places[0])
+    table = pd.DataFrame({"t": 0.1 * np.arange(2000), "x": places[:, 0], "y": places[:, 1]})
+    data = bsp_gp.Dataset.from_frames(table, units=UNITS)
+    assert without_still_ends(data) is data
+
+
 def test_rows_before_a_body_is_let_go_and_after_it_has_landed_are_left_out():
     found = bared(dropped(held=15, landed=12))
     for scene in found.scenes:

@@ -4,10 +4,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from bsp_gp.data.scene import Dataset, Entity, Scene
+from bsp_gp.fitting.fit import fit
 from bsp_gp.fitting.held_out import predictions
+from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.loop.close import close_loop
 from bsp_gp.loop.rows import swamped_by
 from bsp_gp.report.page import page_of
@@ -228,3 +231,15 @@ def test_noise_is_held_against_the_motion_where_there_is_no_law():
     assert swamped_by(bare, data) == pytest.approx(0.9 * 0.3 / moved)
     known = SimpleNamespace(noise=noise, law=SimpleNamespace(terms=("c1 * e_x",)))
     assert swamped_by(known, data) == 0.0
+
+
+def test_what_is_measured_is_no_noise_where_neighbouring_rows_hardly_differ():
+    """A telephone that a hand moved was told to have odd noise."""
+    t = np.arange(400) * 0.02
+    for size, least in ((3.0, 0.9), (0.0, 0.0)):
+        rng = np.random.default_rng(0)
+        a = size * np.sin(7 * t) * np.sin(1.3 * t) + 0.02 * rng.standard_normal(400)
+        data = Dataset.from_frames(pd.DataFrame({"t (s)": t, "a (m/s^2)": a}))
+        found = fit(Hypothesis.from_laws(data, "nothing"), data)
+        swamped = swamped_by(found, data)
+        assert swamped > least if size else swamped == 0.0
