@@ -25,6 +25,8 @@ N_RESAMPLES = 999
 TAIL = 0.05
 RARE = 0.01
 """Part of the copies whose errors are larger than what noise is said to make at the most."""
+NO_FLOOR = 3.0
+"""Times the least error, which one track in hundreds is below its floor by chance."""
 FLOOR_SCENES = 20
 """Copied scenes behind a floor, at least."""
 MOST_POINTS, FEWEST_COPIES = 200_000, 3
@@ -131,6 +133,19 @@ class Accounts:
         """The same metrics under the last law with its noise, an `Errors`."""
         copies = self._copied_rows[-1]
         return errors_of([row for copy in copies for row in copy], self.dataset.units)
+
+    @cached_property
+    def told_floor(self):
+        """The same where it is one: not of noise that was taken for all of a motion.
+
+        What is left of a motion that nothing explains may be more on average than at the end of a
+        track, which is foreseen better than noise of that size would let it be.
+        """
+        ends = [errors_of(self.rows[k], self.dataset.units).rollout_rmse for k in (0, -1)]
+        floor, least = self.floor, np.fmin(*ends)
+        if not floor.rollout_rmse > NO_FLOOR * least:
+            return floor
+        return replace(floor, **dict.fromkeys(METRICS, math.nan))
 
     @cached_property
     def noisiest(self):

@@ -316,8 +316,8 @@ def _scored(rounds, pruned):
 def _total(accounts, begin, end):
     """Errors of the declared and the final law."""
     return {
-        "before": accounts.errors(begin), "after": accounts.errors(end), "floor": accounts.floor,
-        "ratio": accounts.ratio(begin, end),
+        "before": accounts.errors(begin), "after": accounts.errors(end),
+        "floor": accounts.told_floor, "ratio": accounts.ratio(begin, end),
         "ratios": {metric: accounts.ratio(begin, end, metric) for metric in METRICS},
     }  # fmt: skip
 

@@ -6,7 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from bsp_gp.fitting.hypothesis import Forces
+from bsp_gp.fitting.hypothesis import Forces, Hypothesis
+from bsp_gp.fitting.jackknife import jackknife_errors
+from bsp_gp.fitting.law_fit import is_misfit
+from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.evidence import WEAK, significance
@@ -93,4 +96,35 @@ def _shorter(proposal):
         proposal, text=" + ".join(map(to_text, formulas)), hypothesis=hypothesis,
         starts=hypothesis.own(proposal.starts), bounds=hypothesis.own(proposal.bounds),
         formulas=formulas, ties=(), rank=proposal.rank - len(proposal.formulas[-1].constants),
+    )  # fmt: skip
+
+
+def without_open_kicks(proposal, found, base):
+    """Several kicks without those that may be anywhere in their recording; None where none may.
+
+    Of those that a hypothesis has beside its base.
+
+    Where two others explain what it was proposed for, a kick has no size and no instant.
+    """
+    sizes = np.asarray(found.errors)
+    if is_misfit(found):
+        sizes = np.maximum(sizes, jackknife_errors(found)[0])
+    errors = {name: error for (name, _), error in zip(found.parameters, sizes, strict=True)}
+    before = {part.mark for part in base.parts if isinstance(part, Kick)}
+    kicks = [part for part in proposal.hypothesis.parts
+             if isinstance(part, Kick) and part.mark not in before]  # fmt: skip
+    told = [kick for kick in kicks
+            if errors.get(kick.instant, np.inf) < np.ptp(kick.span) / 2]  # fmt: skip
+    if not told or len(told) == len(kicks):
+        return None
+    lost = {kick.mark for kick in kicks} - {kick.mark for kick in told}
+    parts = tuple(p for p in proposal.hypothesis.parts
+                  if not (isinstance(p, Kick) and p.mark in lost))  # fmt: skip
+    where = ", ".join(
+        f"{k.entity}[{k.scene}, {found.law.constants[k.instant]:.4g} s]" for k in told
+    )
+    share, hypothesis = len(told) / len(kicks), Hypothesis(parts)
+    return replace(
+        proposal, text=f"kick {where}", hypothesis=hypothesis, starts=hypothesis.own(found.starts),
+        rank=round(share * proposal.rank), log_prior=share * proposal.log_prior,
     )  # fmt: skip

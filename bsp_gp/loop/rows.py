@@ -17,6 +17,7 @@ from bsp_gp.fitting.periodogram import is_of_swing, rates_in
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.loop.decide import SWAMPED
 from bsp_gp.loop.evidence import log_evidence
+from bsp_gp.loop.forms import without_open_kicks
 from bsp_gp.loop.proposal import FAULTS
 from bsp_gp.loop.rivals import Explained
 from bsp_gp.loop.slight import LITTLE, size_left
@@ -168,6 +169,13 @@ class Rows:
                 break
             hypothesis = cut_short(proposal.hypothesis, new)
             proposal = replace(proposal, hypothesis=hypothesis, starts=new.starts)
+            row = self._fitted(source, proposal, fit_of(self._shared, (source, proposal)))
+        while row.is_fit and row.code == "contact" and not self.note_time("fits"):
+            less = without_open_kicks(proposal, self.fits[row.id], self.hypotheses[0])
+            if less is None:
+                break
+            self.rows[row.id] = replace(row, status="idle")
+            proposal = less
             row = self._fitted(source, proposal, fit_of(self._shared, (source, proposal)))
         price = self._price_of_cuts(proposal) if row.is_fit else 0.0
         if price:

@@ -121,7 +121,7 @@ def record_of(
         reason=reason,
         before=accounts.errors(before),
         after=None if after is None else accounts.errors(after),
-        floor=accounts.floor,
+        floor=accounts.told_floor,
         ratio=Ratio() if after is None else accounts.ratio(before, after),
         held_out=() if after is None else tuple(accounts.by_scene(before, after)),
         varies_with=tuple(done.varies_with),

@@ -14,7 +14,9 @@ from bsp_gp.fitting.hypothesis import NOTHING, Hypothesis
 from bsp_gp.fitting.law_fit import constant_estimates
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.language.grammar import load_grammar
+from bsp_gp.loop.forms import without_open_kicks
 from bsp_gp.loop.loop import run_rounds
+from bsp_gp.loop.proposal import Proposal
 from bsp_gp.loop.proposers.contacts import Contacts
 from bsp_gp.loop.proposers.laws import Laws
 from bsp_gp.loop.view import selected
@@ -206,3 +208,25 @@ def test_two_bodies_that_kick_each_other_as_they_meet_are_one_event(gained, code
     best = max(family.proposals, key=lambda p: p.promise)
     kicks = [part for part in best.hypothesis.parts if isinstance(part, Kick)]
     assert (best.code, sorted(part.entity for part in kicks)) == (code, bodies)
+
+
+def test_kicks_that_may_be_anywhere_in_their_recording_are_left_out():
+    """Of a lift a kick was told at 13 s, give or take 10^17."""
+    kicks = [
+        Kick.of("a", "ball", f"kicked{k}", {"x": f"w{k}"}, f"t{k}", {f"w{k}": 1.0, f"t{k}": 10.0 * k},
+                (0.0, 60.0), 0.01)
+        for k in (1, 2, 3)
+    ]  # fmt: skip
+    constants = {name: value for kick in kicks for name, value in kick.law.constants.items()}
+    names = [name for kick in kicks for name in kick.law.constants]
+    base, known = Hypothesis((kicks[2],)), {"t1": 40.0, "t3": 70.0}
+    found = SimpleNamespace(
+        parameters=[(name, "") for name in names], errors=[known.get(name, 0.1) for name in names],
+        law=SimpleNamespace(constants=constants), starts=constants, n_rows=50, n_free=10,
+        chisqr=40.0, is_failed=False,
+    )  # fmt: skip
+    proposal = Proposal("contact", "kick ...", Hypothesis(tuple(kicks)), -20.0, 50.0, rank=4)
+    less = without_open_kicks(proposal, found, base)
+    assert [kick.mark for kick in less.hypothesis.parts] == ["kicked2", "kicked3"]
+    assert less.text == "kick ball[a, 20 s]" and (less.rank, less.log_prior) == (2, -10.0)
+    assert without_open_kicks(less, found, base) is None
