@@ -213,8 +213,8 @@ def test_two_bodies_that_kick_each_other_as_they_meet_are_one_event(gained, code
 def test_kicks_that_may_be_anywhere_in_their_recording_are_left_out():
     """Of a lift a kick was told at 13 s, give or take 10^17."""
     kicks = [
-        Kick.of("a", "ball", f"kicked{k}", {"x": f"w{k}"}, f"t{k}", {f"w{k}": 1.0, f"t{k}": 10.0 * k},
-                (0.0, 60.0), 0.01)
+        Kick.of("a", "ball", f"kicked{k}", {"x": f"w{k}"}, f"t{k}",
+                {f"w{k}": 1.0, f"t{k}": 10.0 * k}, (0.0, 60.0), 0.01)
         for k in (1, 2, 3)
     ]  # fmt: skip
     constants = {name: value for kick in kicks for name, value in kick.law.constants.items()}
