@@ -240,13 +240,16 @@ class Scene:
 
     def rows(self, start, stop):
         """The same scene cut to rows ``start:stop`` of time."""
-        cut = slice(start, stop)
+        return self.of_rows(slice(start, stop), has_first=start in (0, None))
+
+    def of_rows(self, cut, has_first=False):
+        """The same scene cut to some rows, a slice or an array of bool; with its first state?"""
         arrays = {n: getattr(self, n) for n in ("times", "positions", "velocities", "sigma")}
         return replace(
             self, **{n: None if values is None else values[cut] for n, values in arrays.items()},
             inputs={name: values[cut] for name, values in self.inputs.items()},
             logs={name: values[cut] for name, values in self.logs.items()},
-            first=self.first if start in (0, None) else None,
+            first=self.first if has_first else None,
         )  # fmt: skip
 
 

@@ -14,7 +14,8 @@ HELD_OUT_TIME = 0.3
 MAX_GAP = 0.1
 MEMORIES = 3.0
 """Correlation times of the noise that a gap is long at least."""
-MIN_ROWS = 3
+MIN_ROWS, TURNS = 3, 4
+"""Rows of each side at least, and nights of a star of which one is held out."""
 MAX_NAMES = 5
 """Held-out scenes that are named."""
 
@@ -60,15 +61,16 @@ def choose_split(dataset, rng):
     """Divide a data set into scenes to train on and scenes held out.
 
     A declared split wins. Without one, from four scenes on a random quarter is held out; with
-    fewer, the last 30 % of the time of every scene, after a gap of one correlation time of the
-    motion or three of the noise (where it is declared to have a memory), at most a tenth. The
-    generator is used for the random quarter alone.
+    fewer, one row of four of a star's velocities, and of anything else the last 30 % of the time of
+    every scene, after a gap of one correlation time of the motion or three of the noise (where it
+    is declared to have a memory), at most a tenth. The generator is used for the random quarter
+    alone.
     """
     if dataset.train or dataset.test:
         return _declared(dataset)
     if len(dataset.scenes) >= MIN_SCENES:
         return _random(dataset, rng)
-    return _in_time(dataset)
+    return _by_turns(dataset) if dataset.is_of_sight else _in_time(dataset)
 
 
 def _declared(dataset):
@@ -103,6 +105,30 @@ def _random(dataset, rng):
         "fitted, --test chooses others"
     )
     return Split(train, test, note)
+
+
+def _by_turns(dataset):
+    """Every so many of the nights on which a star was looked at.
+
+    Of a companion that takes as long as the star was watched the last of them show another part of
+    the orbit than all before, which no law could foresee.
+    """
+    train, test = [], []
+    for scene in dataset.scenes:
+        rows = np.arange(len(scene.times))
+        is_held = (rows % TURNS == TURNS // 2) & (rows < len(rows) - 1)
+        if is_held.sum() < MIN_ROWS or (~is_held).sum() < MIN_ROWS:
+            train.append(scene)
+            continue
+        train.append(scene.of_rows(~is_held))
+        test.append(replace(scene.of_rows(is_held), name=f"{scene.name} (held out)"))
+    if not test:
+        return Split(tuple(train), (), "no split declared, and the scenes are too short for one")
+    note = (
+        f"no split declared and fewer than {MIN_SCENES} scenes: one row of {TURNS} is held out, "
+        "from the first to the last"
+    )
+    return Split(tuple(train), tuple(test), note, dataset.scenes)
 
 
 def _in_time(dataset):

@@ -63,6 +63,18 @@ def test_few_scenes_are_cut_in_time():
         assert train.times[-1] < test.times[0]
 
 
+def test_of_a_star_nights_are_held_out_all_along():
+    """A companion that takes as long as its star was watched was refused for what it did last."""
+    dataset = Dataset("star", scenes(1, n_times=41), velocity="sight")
+    split = choose_split(dataset, np.random.default_rng(1))
+    (scene,), (train,), (test,) = dataset.scenes, split.train, split.test
+    assert split.learned == dataset.scenes
+    assert test.times == pytest.approx(scene.times[2::4])
+    assert sorted([*train.times, *test.times]) == pytest.approx(scene.times)
+    few = Dataset("star", scenes(1, n_times=8), velocity="sight")
+    assert not choose_split(few, np.random.default_rng(1)).test
+
+
 def test_the_gap_follows_the_correlation():
     t = np.arange(400) * 0.01
     smooth = Scene("s", t, np.stack([np.sin(3 * t), np.cos(5 * t)], 1)[:, None], (Entity("a"),))
