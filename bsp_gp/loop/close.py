@@ -136,7 +136,7 @@ def close_loop(
     known = {"t", *dataset.logged}
     dataset = without_torn_ends(asked_of(dataset, _words(declared), exclude))
     dataset = dataset if all_rows else in_stretches(in_blocks(dataset))
-    ready = Ready(dataset, declared, streams["split"])
+    ready = Ready(dataset, declared, streams["split"], all_rows)
     grammar = grammar if isinstance(grammar, Grammar) else load_grammar(grammar)
     unknown = sorted(set(exclude) - set(grammar.inputs) - known)
     if unknown:

@@ -31,6 +31,15 @@ from bsp_gp.physics.masses import check_properties, with_usable_masses
 class Ready:
     """A data set as fits take it.
 
+    Parameters
+    ----------
+    dataset : Dataset
+    declared : str, sequence of str, or ForceLaw
+    rng : numpy.random.Generator
+        For what is held out.
+    all_rows : bool
+        Whether rows at which bodies are held stay.
+
     Attributes
     ----------
     dataset : Dataset
@@ -54,7 +63,7 @@ class Ready:
 
     is_swapped = False
 
-    def __init__(self, dataset, declared, rng):
+    def __init__(self, dataset, declared, rng, all_rows=False):
         latents = declared_latents(dataset) if dataset.latents else None
         if latents is not None:
             everywhere = unknown_properties(dataset, latents, dataset.scenes)
@@ -62,7 +71,7 @@ class Ready:
         declared = (declared,) if isinstance(declared, str) else declared
         is_law = isinstance(declared, ForceLaw)
         self.law = unset(declared) if is_law else read_law(dataset, declared)
-        if latents is None:
+        if latents is None and not all_rows:
             dataset = without_rests(dataset, self.law)
         self.dataset = held_flat(with_usable_masses(dataset), _spoken(self.law, dataset))
         self.noise = estimate_noise(self.dataset)

@@ -10,6 +10,7 @@ import bsp_gp
 from bsp_gp.data.torn import without_torn_ends
 from bsp_gp.fitting.hypothesis import NOTHING, read_law
 from bsp_gp.fitting.rests import _still_ends, without_rests, without_still_ends
+from bsp_gp.loop.ready import Ready
 
 FALL = "9.81 [m/s^2] * m_i * down"
 SIGMA, STEP = 0.002, 0.02
@@ -200,3 +201,11 @@ def test_what_swings_less_and_less_is_no_rest():
     y = np.round(np.exp(-0.25 * t) * np.cos(2 * t), 6)
     data = lone(y, sigma=0.0)
     assert without_still_ends(data) is data
+
+
+def test_all_rows_are_all_rows():
+    """`--all-rows` kept none of those at which a body was told to stand still."""
+    data = dropped(held=12, landed=12)
+    for all_rows, n_rows in ((True, 54), (False, 30)):
+        ready = Ready(data, [FALL], np.random.default_rng(0), all_rows)
+        assert abs(len(ready.dataset.scenes[0].times) - n_rows) <= 4
