@@ -243,7 +243,7 @@ class Scene:
         return self.of_rows(slice(start, stop), has_first=start in (0, None))
 
     def of_rows(self, cut, has_first=False):
-        """The same scene cut to some rows, a slice or an array of bool; with its first state?"""
+        """The same scene cut to some rows, a slice or bools (T,), with its first state or not."""
         arrays = {n: getattr(self, n) for n in ("times", "positions", "velocities", "sigma")}
         return replace(
             self, **{n: None if values is None else values[cut] for n, values in arrays.items()},
