@@ -12,7 +12,8 @@ from bsp_gp.errors import DataError
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.language.operators import Type
 from bsp_gp.language.parse import parse_formula
-from bsp_gp.language.render import to_latex
+from bsp_gp.language.render import to_latex, to_text
+from bsp_gp.physics.force import split_linear
 from bsp_gp.report.page import page_of
 from bsp_gp.report.recording import data_text
 from bsp_gp.units import Unit
@@ -223,3 +224,32 @@ def test_an_input_may_be_called_as_the_file_calls_it_and_is_told(tmp_path):
         assert "Input Force: measured, from 0 to 6.000 kN" in data_text(data)
         assert "Input volts: measured, from 0 to 39.00 V" in data_text(data)
     assert "Input" not in data_text(load_dataset(path))
+
+
+def driven(k, rng, n=120):
+    """A pendulum with a motor, whose torque per moment of inertia was logged."""
+    t = np.arange(n) * 0.05
+
+    def torque(time):
+        return 3.0 * np.sin(1.9 * time + k) + 2.0 * np.cos(3.1 * time + 2 * k)
+
+    def rate(time, state):
+        theta, omega = state
+        return omega, -9.0 * np.sin(theta) + 0.8 * torque(time) - 0.15 * omega
+
+    swing = solve_ivp(rate, (0, t[-1]), (0.5 + 0.2 * k, 0.0), t_eval=t, rtol=1e-9, atol=1e-9).y[0]
+    return pd.DataFrame({"t": t, "theta": swing + 0.003 * rng.standard_normal(n), "u": torque(t)})
+
+
+@pytest.mark.slow
+def test_what_a_motor_was_told_is_found_beside_what_drives_back():
+    """Of a driven pendulum powers of the torque times powers of the speed were tried alone."""
+    rng = np.random.default_rng(0)
+    runs = {f"run {k}": driven(k, rng) for k in range(4)}
+    units = {"theta": "rad", "t": "s", "u": "rad/s^2"}
+    data = bsp_gp.Dataset.from_frames(runs, units=units)
+    report = bsp_gp.close_loop(data, "nothing", rng=0, n_bootstrap=0)
+    terms = {to_text(split_linear(term.formula)[1]) for term in report.fit.law.terms}
+    assert any("u * e_x" in text for text in terms) and any("sin(" in text for text in terms)
+    told = [c.value for c in report.constants if abs(c.value - 0.8) < 0.05]
+    assert len(told) == 1 and report.total["ratio"].value < 0.1

@@ -96,7 +96,8 @@ class Laws:
         self.properties = names
         vectors = [c for c, t in columns.items() if t.shape == "vector"]
         measured = [name for name, t in inputs.items() if t.shape == "vector"]
-        lists = {"0": names, "vector": vectors, "measured": measured}
+        numbers = [name for name, t in inputs.items() if t.shape == "scalar"]
+        lists = {"0": names, "vector": vectors, "measured": measured, "input": numbers}
         common = self.grammar.common
         if dataset.n_moving_axes > 1:
             common += self.grammar.common_of_planes
