@@ -137,13 +137,17 @@ def verdict_parts(report):
         text = "Nothing is missing from the declared model: what it leaves unexplained is noise."
         return text, _detectable(last.missing) if last else ""
     if report.verdict == "seen, not adopted":
-        seen = [r.effect.name for r in report.rounds if r.effect is not None]
+        found = [r for r in report.rounds if r.effect is not None]
+        seen = [r.effect.name for r in found]
+        worse = ""
+        if found and _is_worse(found[-1]):
+            worse = ": what was held out is foreseen worse with it than without"
         text = "The declared model leaves more than noise, but nothing was good enough to adopt."
         if adopted:
             names = _joined(_counted(map(_either, adopted)))
             text = (f"The declared model leaves more than noise, and so does what was adopted "
                     f"({names}); nothing more was good enough.")  # fmt: skip
-        return text, f"The best, {seen[-1]}, was seen and not adopted." if seen else ""
+        return text, f"The best, {seen[-1]}, was seen and not adopted{worse}." if seen else ""
     adopted = [r for r in adopted if r.verdict == "cannot tell"]
     if report.verdict == "cannot tell" and adopted:
         text = "Something is missing from the declared model, but these data cannot tell whether "
@@ -164,6 +168,16 @@ def verdict_parts(report):
             reason += f" Of what was, {last.effect.name} explains most so far."
         return text, reason[:1].upper() + reason[1:]
     return f"Verdict: {report.verdict}.", ""
+
+
+WORSE = 1.1
+"""Error of predictions, in that without a cause, from which these are worse."""
+
+
+def _is_worse(done):
+    """Whether a round's best foresees what was held out worse than the law without it."""
+    errors = [e.rollout_rmse for e in (done.before, done.after) if e is not None]
+    return len(errors) == 2 and all(map(is_number, errors)) and errors[1] > WORSE * errors[0]
 
 
 _SHORT = {"kg m/s^2": "N"}

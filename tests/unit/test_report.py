@@ -41,7 +41,7 @@ from bsp_gp.report.drawing import (
 )
 from bsp_gp.report.explore import script, script_digest
 from bsp_gp.report.figures import build_figures
-from bsp_gp.report.first import bound_sentence, else_sentence
+from bsp_gp.report.first import bound_sentence, else_sentence, plain_sentence
 from bsp_gp.report.folder import write_report
 from bsp_gp.report.html import render_html
 from bsp_gp.report.numbers import format_number, format_p, format_value, pretty_unit, rounded
@@ -496,6 +496,15 @@ def test_bodies_that_get_worse_are_named():
     assert re.search(r"Worse .*: cork \(\S+ → \S+ m\)\.$", worse_bodies(page))
     assert worse_bodies(page) in summary_text(page).replace("\n", " ")
     assert worse_bodies(page_of(report)) == ""
+
+
+def test_what_foresees_held_out_rows_worse_is_said_to():
+    report = sample.seen_not_adopted()
+    (seen,) = report.rounds
+    for factor, is_worse in ((2.0, True), (0.9, False), (math.nan, False)):
+        after = replace(seen.before, rollout_rmse=factor * seen.before.rollout_rmse)
+        told = page_of(replace(report, rounds=(replace(seen, after=after),)))
+        assert ("foreseen worse" in " ".join(plain_sentence(told))) is is_worse
 
 
 def test_sentences_match_the_verdict():
