@@ -164,6 +164,7 @@ NOISE = {
 """What may be found of the noise."""
 DIRECTIONS = {
     "along": "along the velocity", "across": "across the velocity",
+    **{f"across_{axis}": f"across the velocity and {axis}" for axis in "xyz"},
     "line": "along the lines to the other bodies",
 }  # fmt: skip
 VARIABLES = {

@@ -28,7 +28,8 @@ def trace_sentence(trace):
         return "No direction explains more of what is left than noise would."
     text = f"What was missing is best described as a push {_direction(best)}"
     text += f" that changes with {_variable(best)}" if best.variable else " of constant size"
-    return f"{text} ({_share(best)} of it, {format_p(best.p_value)})."
+    share = f"{_share(best)} of it, " if is_number(best.share) else ""
+    return f"{text} ({share}{format_p(best.p_value)})."
 
 
 def _direction(channel):

@@ -1,9 +1,13 @@
 """The trace: in which direction and on which variable a force is left."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from bsp_gp.loop.trace import trace
+from bsp_gp.loop.trace import Channel, Trace, trace
+from bsp_gp.report.traces import trace_sentence
 from tests.loop_views import throws, view_of
 
 
@@ -66,3 +70,13 @@ def test_other_bodies_make_lines_and_distances():
     assert all(
         c.direction.startswith("line") for c in found.channels if c.variable == "distance"
     )
+
+
+def test_what_a_trace_says_has_no_share_that_is_not_known():
+    """It was told of "a push along across_x" and of "- of it"."""
+    best = Channel("across_x", "time", 4, 4, 90.0, 1e-9, math.nan, 30.0)
+    assert trace_sentence(Trace((best,))) == (
+        "What was missing is best described as a push across the velocity and x that changes with "
+        "time (p < 0.0001)."
+    )
+    assert "(40 % of it, p" in trace_sentence(Trace((replace(best, share=0.4),)))
