@@ -23,7 +23,7 @@ MAX_NAMES = 5
 class Split(NamedTuple):
     """Scenes to train on, scenes held out, and a line for the report.
 
-    ``whole`` are the scenes that were cut in time, () where scenes are held out as they are.
+    ``whole`` are the scenes of which rows are held out, () where scenes are held out as they are.
     """
 
     train: tuple[Scene, ...]
@@ -70,7 +70,8 @@ def choose_split(dataset, rng):
         return _declared(dataset)
     if len(dataset.scenes) >= MIN_SCENES:
         return _random(dataset, rng)
-    return _by_turns(dataset) if dataset.is_of_sight else _in_time(dataset)
+    is_star = dataset.is_of_sight and not dataset.noise_memory
+    return _by_turns(dataset) if is_star else _in_time(dataset)
 
 
 def _declared(dataset):
@@ -120,7 +121,7 @@ def _by_turns(dataset):
         if is_held.sum() < MIN_ROWS or (~is_held).sum() < MIN_ROWS:
             train.append(scene)
             continue
-        train.append(scene.of_rows(~is_held))
+        train.append(scene.of_rows(~is_held, has_first=True))
         test.append(replace(scene.of_rows(is_held), name=f"{scene.name} (held out)"))
     if not test:
         return Split(tuple(train), (), "no split declared, and the scenes are too short for one")

@@ -21,6 +21,9 @@ FEWEST_TURNS = 1.5
 FADING = (0.0, 3.0, 6.0, 12.0)
 """Times the longest track in decay times of a swing, first none; and SEEN decay times show it."""
 SEEN = 3.0
+FAR_TURNS, BETWEEN = 4.0, 21
+"""Turns by which a second rate differs from the first in the longest track, at the least, and rates
+between neighbours of a grid at which the first is looked for."""
 MOST_TRACKS = 100
 """Coordinates of bodies that tell whether all of them swing."""
 MOST_ROWS, WITHIN = 8_000, 0.01
@@ -71,9 +74,19 @@ def is_of_swing(rate, found):
     law foresees no swing, what drives back from both sides makes the same track as such a push. A
     second track, from elsewhere, tells these apart.
     """
-    swing, span = swing_of(found, foreseen=True), longest(found)
+    return is_at(rate, own_rate(found), longest(found))
+
+
+def own_rate(found):
+    """The rate at which tracks swing as a law has them, or where it has none one track; 0: none."""
+    swing = swing_of(found, foreseen=True)
     if not swing and len(found.channels.scene_names) == 1:
         swing = swing_of(found)
+    return swing
+
+
+def is_at(rate, swing, span):
+    """Whether a rate is that of a swing, or an overtone, in tracks of so many seconds."""
     return any(
         abs(rate - n * swing) * span < 2 * np.pi * turns for n, turns in OVERTONES.items() if swing
     )
@@ -111,7 +124,7 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
 
 
 def modes_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=2):
-    """The same, and the next rate beside it that shows, or 0."""
+    """The same, and another rate far from it that shows beside it, or 0."""
     tracks = join(chains.observed for chains in found.groups)
     if foreseen:
         tracks = tracks - found.residual
@@ -140,19 +153,39 @@ def modes_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=2):
         rates = every[:: max(round(fading), 1)]
         power = sum(_power(*track, rates, fading / span) for track in own)
         best = int(np.argmax(power))
-        made, second = power[best], 0
+        made = power[best]
         if n_modes > 1:
-            others = np.where(np.abs(rates - rates[best]) > 2 * np.pi / span, power, 0.0)
-            second = int(np.argmax(others))
-            made += others[second]
+            made += np.max(power[np.abs(rates - rates[best]) > 2 * np.pi / span], initial=0.0)
         # What nobody has explained may be all of what was taken for noise.
         noise = min(max(whole - made, 0.0) / max(count, 1), 1.0)
         is_shown = made > max(SWINGING * whole, SHOWN * noise, ROUNDING)
         shown = span * min(SEEN / fading, 1.0) if fading else span
         if is_shown and rates[best] * shown > 2 * np.pi * turns:
-            is_second = second and others[second] > SHOWN * noise
-            return float(rates[best]), float(rates[second]) if is_second else 0.0
+            second = _beside(own, rates, best, fading / span, span) if n_modes > 1 else 0.0
+            return float(rates[best]), second
     return 0.0, 0.0
+
+
+def _beside(own, rates, best, fading, span):
+    """The rate that tracks show beside a wave that is taken away, and far from it; 0 if none does.
+
+    What is left of a wave whose rate is not quite that of the grid stands close to it.
+    """
+    near = np.linspace(rates[max(best - 1, 0)], rates[min(best + 1, len(rates) - 1)], BETWEEN)
+    rate = near[np.argmax(sum(_power(*track, near, fading) for track in own))]
+    rest, whole, count = [], 0.0, 0
+    for t, x, variance in own:
+        since, u = t - t[0], (t - t.mean()) / np.ptp(t)
+        wave = np.exp(-fading * since) * np.stack([np.cos(rate * since), np.sin(rate * since)])
+        columns = np.column_stack([np.ones_like(u), u, u * u, *wave])
+        left = x - columns @ np.linalg.lstsq(columns, x, rcond=None)[0]
+        rest.append((t, left, variance))
+        whole, count = whole + float(np.sum(np.square(left) / variance)), count + len(t) - 5
+    power = sum(_power(*track, rates, fading) for track in rest)
+    power = np.where(np.abs(rates - rate) > FAR_TURNS * 2 * np.pi / span, power, 0.0)
+    second = int(np.argmax(power))
+    noise = min(max(whole - power[second], 0.0) / max(count, 1), 1.0)
+    return float(rates[second]) if power[second] > max(SHOWN * noise, ROUNDING) else 0.0
 
 
 def _lesser(times, x):

@@ -192,7 +192,7 @@ def _n_still(times, places, is_end=False):
 
 def _wanders(places, n):
     """Whether the first n rows go on as the others do, by steps at random: nobody holds a bead."""
-    if n < LAG**2:
+    if n < LAG**2 or len(places) - n < 2:
         return False
     own, other, far = (
         np.sqrt(np.mean(np.square(p[lag:] - p[:-lag])))

@@ -136,7 +136,7 @@ class Accounts:
 
     @cached_property
     def told_floor(self):
-        """The same where it is one: not of noise that was taken for all of a motion.
+        """The same as it is told: nothing, of noise that was taken for all of a motion.
 
         What is left of a motion that nothing explains may be more on average than at the end of a
         track, which is foreseen better than noise of that size would let it be.

@@ -141,6 +141,8 @@ class _Pruning:
     def shed_late(self, clock):
         """The same where there was no time: what may be nothing is told as nothing."""
         self.clock = clock.share(LATE)
+        if self.clock.is_over:
+            return
         try:
             self.shed_terms()
         except TimeIsUp:
@@ -170,8 +172,9 @@ class _Pruning:
                 yield done.number, smaller, best.text, best.log_prior, 1.0
 
     def _without_terms(self):
-        told = constant_estimates(self.found, self.dataset)
-        for formula in self._terms_of_sums():
+        formulas = self._terms_of_sums()
+        told = constant_estimates(self.found, self.dataset) if formulas else ()
+        for formula in formulas:
             names = strengths_of(formula)
             own = np.concatenate(
                 [significance(self.found, name) for name in names] or [np.zeros(0)]

@@ -112,10 +112,11 @@ def decide(table, criteria=None):
         return Decision("effect adopted", "adopted", weight, True, is_beside_more=True)
     if (first := _cause_before_kicks(best, candidates)) is not None:
         return Decision("effect adopted", "adopted", first, True)
-    if (plain := _without_echo(best, candidates, table.base)) is not None:
-        return Decision("effect adopted", "adopted", plain, True)
     if tied:
         return Decision("cannot tell", "kinds_tie", best, True, rivals, False)
+    least = table.base.log_posterior + needed
+    if (plain := _without_echo(best, candidates, table.base, least, criteria)) is not None:
+        return Decision("effect adopted", "adopted", plain, True)
     return Decision("effect adopted", "adopted", best, True, rivals, is_fact)
 
 
@@ -158,17 +159,18 @@ def _cause_before_kicks(best, candidates):
     )  # fmt: skip
 
 
-def _without_echo(best, candidates, base):
+def _without_echo(best, candidates, base, least, criteria):
     """The likeliest forces that leave little, where a sum with an echo in it leaves less; or None.
 
     A push with the period of the swing is the first harmonic of whatever the law has otherwise,
-    such as friction. It is asked for beside these.
+    such as friction. It is asked for beside these, which must be likelier than `least` themselves.
     """
     if not best.is_echo:
         return None
     return next(
         (row for row in candidates if row.kind == best.kind and not row.is_echo
-         and row.left < PLAIN * base.left), None
+         and row.left < PLAIN * base.left and row.log_posterior > least
+         and not _is_refused(row, criteria)), None
     )  # fmt: skip
 
 

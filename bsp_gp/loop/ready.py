@@ -141,8 +141,9 @@ class Ready:
     def refitted(self, found, hypothesis, bounds, clock):
         """A fit as it would be without the rows that are held out.
 
-        Only where the scenes were cut in time has it seen any of them. It begins at the fit, and
-        ends where the rows that are left lead; one that cannot be fitted to these foresees nothing.
+        Only where rows of scenes are held out has it seen any of them. It begins at the fit, where
+        these were the last, and ends where the rows that are left lead; one that cannot be fitted
+        to these foresees nothing.
         """
         if self.before_cut is None:
             return found

@@ -13,7 +13,7 @@ from bsp_gp.fitting.followed import PASSES, cut_short
 from bsp_gp.fitting.hypothesis import Hypothesis
 from bsp_gp.fitting.parts.contacts import Kick
 from bsp_gp.fitting.parts.cut_short import CutShort
-from bsp_gp.fitting.periodogram import is_of_swing, rates_in
+from bsp_gp.fitting.periodogram import is_at, longest, own_rate, rates_in
 from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.loop.decide import SWAMPED
 from bsp_gp.loop.evidence import log_evidence
@@ -51,8 +51,8 @@ class Rows:
 
     def __init__(self, run, found, hypothesis, is_little=False, known=None):
         self.run, self.base = run, found
-        # What was fitted to the same base before: source, proposal and what `fit_of` told of it.
-        self.known = {} if known is None else known
+        # What was fitted to the same base before, by key: proposals and what `fit_of` told of each.
+        self.known, self._taken = {} if known is None else known, set()
         self.most_fits = run.criteria.most_fits // (FEWER if is_little else 1)
         self.near, self.missing = found, 0.0  # where fits begin; chi-squared that is to be gained
         evidence = log_evidence(found, hypothesis, run.criteria)
@@ -174,9 +174,11 @@ class Rows:
             less = without_open_kicks(proposal, self.fits[row.id], self.hypotheses[0])
             if less is None:
                 break
+            new = self._fitted(source, less, fit_of(self._shared, (source, less)))
+            if not new.is_fit:
+                break
             self.rows[row.id] = replace(row, status="idle")
-            proposal = less
-            row = self._fitted(source, proposal, fit_of(self._shared, (source, proposal)))
+            row, proposal = new, less
         price = self._price_of_cuts(proposal) if row.is_fit else 0.0
         if price:
             proposal = self.proposals[row.id] = replace(
@@ -313,7 +315,13 @@ class Rows:
             return False
         rates = [name for formula in proposal.formulas for name in rates_in(formula)]
         constants = found.law.constants
-        return any(is_of_swing(constants[name], self.base) for name in rates if name in constants)
+        rates = [constants[name] for name in rates if name in constants]
+        return any(is_at(rate, self.own_rate, longest(self.base)) for rate in rates)
+
+    @cached_property
+    def own_rate(self):
+        """The rate of the swing that the base has, or its tracks, rad/s."""
+        return own_rate(self.base)
 
     def _twin(self, source, proposal, new):
         """The key of an earlier row to whose minimum a descent from elsewhere has come; or None."""
@@ -438,7 +446,10 @@ def swamped_by(found, dataset):
 
 
 def _swamped_added(found, dataset):
-    """The same of what adds up to places: which is noise as far as neighbouring rows differ."""
+    """Size of what is no noise, in all that is taken for it, of what adds up to places.
+
+    Noise is what neighbouring rows differ by.
+    """
     scatter, levels = np.array(estimate_noise(dataset).sigma), np.array(found.noise.levels)
     is_more = levels > MOST_SCATTER * scatter
     whole = float(np.square(levels[np.isfinite(levels)]).sum())

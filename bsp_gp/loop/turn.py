@@ -154,6 +154,7 @@ class Turn(Rows):
             self.note("proposers")
         before = self.families, self.near, self.missing, self.levels, self.chances
         self.families = []
+        self.known.clear()  # under the noise of the base
         self.propose(number, view, self.run.proposers, is_told=True)
         found = [p.promise for f in self.families for p in f.proposals if p.kind != "noise"]
         if max(found, default=-math.inf) > HALF_AS_MUCH * less + self.run.criteria.noise_nats:
@@ -201,13 +202,16 @@ class Turn(Rows):
             ((f.name, p) for f in self.families for p in f.proposals),
             key=lambda pair: -pair[1].promise,
         )
-        self._take_over()
         queue = Queue(self, every)
         fits, n_fits = self._fits(queue.jobs), 0
         for at, (source, proposal) in enumerate(queue.jobs):
+            if any([queue.ends_with(at, *told) for told in self._take_over(proposal.key, source)]):
+                break
+            if proposal.key in self._taken:
+                continue
             if self.note_time("fits"):
                 break
-            if (proposal.key, proposal.rank) in self.known or queue.passes_over(at):
+            if queue.passes_over(at):
                 continue
             n_fits += 1  # proposals that are passed over are none of the fits that may yet come
             self.run.says(f"fit {n_fits} of {max(n_fits, queue.n_most)}: {proposal.text}")
@@ -215,6 +219,8 @@ class Turn(Rows):
             if queue.ends_with(at, row, proposal):
                 break
         fits.end()
+        for key in list(self.known):  # there was no time to come to them
+            self._take_over(key)
         self.share_noise()
         self._fit_weight(every)
         self._fit_usual(every)
@@ -225,12 +231,11 @@ class Turn(Rows):
         self._fit_foreseen()
         self._fit_part()
 
-    def _take_over(self):
-        """Rows of what was fitted before, once."""
-        keys = self._fitted_keys
-        for source, proposal, found in self.known.values():
-            if found is not None and proposal.key not in keys:
-                self._followed(source, proposal, found)
+    def _take_over(self, key, source="constraints"):
+        """Rows and proposals of what was fitted before under a key, once."""
+        found = self.known.pop(key, ())
+        self._taken |= {key} if found else set()
+        return [self._followed(source, *each) for each in found]
 
     def _fit_foreseen(self):
         """Fit what is foreseen to be likelier than all that was fitted, with fewer numbers.
@@ -307,12 +312,13 @@ class Turn(Rows):
                 self.run.says(f"fit {k} of {len(queue)}: {one.text}")
                 found = fit_of(self._shared, (source, one))
                 one = replace(one, instead=None)
-                self.known[one.key, one.rank] = source, one, found
                 row, _ = self._followed(source, one, found)
+                known = self.known.setdefault(one.key, [])
                 if before is not None and row.is_fit and row.left < CLEARLY_LESS * before.left:
                     # Beside forces that know no physics the rod alone is as good: it is no law.
                     self.rows[before.id] = replace(before, status="less")
-                    self.known[proposal.key, proposal.rank] = source, proposal, None
+                    known.clear()
+                known.append((one, found))
                 before = row
                 if row.is_fit and row.left < MOST_BESIDE * self.rows[0].left:
                     leaves_little = True
@@ -535,9 +541,10 @@ class Turn(Rows):
 
     def _fits(self, queue):
         """The fits of a queue of proposals, as `Work`; what is far behind is not begun early."""
-        both = {False, True}
+        both, known = {False, True}, set(self.known)
         return self.run.crew.work(
-            fit_of, self._shared, queue, lambda job: not self.is_behind(job[1], both)
+            fit_of, self._shared, queue,
+            lambda job: not (job[1].key in known or self.is_behind(job[1], both)),
         )
 
 

@@ -88,7 +88,7 @@ def test_what_was_not_asked_is_told_though_all_is_asked_under_other_noise():
     """What is asked without a memory of the noise is asked anew, and says nothing of the rest."""
     turn = SimpleNamespace(
         unasked=["walls"], left_out=[], families=[], near=None, missing=0.0, levels=None,
-        chances={}, run=SimpleNamespace(proposers=(), criteria=Criteria()),
+        chances={}, run=SimpleNamespace(proposers=(), criteria=Criteria()), known={},
         propose=lambda *asked, **told: setattr(turn, "unasked", []),
     )  # fmt: skip
     turn.note = turn.left_out.append
@@ -135,9 +135,7 @@ def test_rods_that_were_fitted_before_all_others_are_not_fitted_again():
     )  # fmt: skip
     begun = fit(hypothesis, data)
     rod = Proposal("rod", "L", hypothesis, 0.0, 1.0, rank=2, kind="constraint")
-    known = {(rod.key, 2): ("constraints", rod, (begun, begun, 5.0)),
-             (rod.key, 1): ("constraints", replace(rod, rank=1), None)}  # fmt: skip
-    turn = Turn(run, begun, hypothesis, known=known)
-    turn._take_over()
-    turn._take_over()
+    turn = Turn(run, begun, hypothesis, known={rod.key: [(rod, (begun, begun, 5.0))]})
+    (told,) = turn._take_over(rod.key)
+    assert told == (turn.rows[1], rod) and not turn._take_over(rod.key)
     assert [row.code for row in turn.rows] == ["base", "rod"]

@@ -16,7 +16,7 @@ from bsp_gp.language.formula import Call, Constant, Input
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.loop.proposers.periods import coordinate_of
-from bsp_gp.loop.proposers.swings import decay_of, usual_mass
+from bsp_gp.loop.proposers.swings import LEAST_DRAG, decay_of, usual_mass
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name
@@ -336,7 +336,7 @@ def _pushes(view, kept):
     if view.fit.law.terms or not (kept.is_sole and kept.way):
         return (), (), {}
     law, terms, most = view.fit.law, [], max(map(abs, kept.way))
-    mass, rate = usual_mass(view.dataset.scenes), 0.0
+    mass, rate = usual_mass(view.dataset.scenes, kept.pair[0]), 0.0
     if kept.code == "rod":
         rate = swing_of(view.fit, body=kept.pair[0])
     pull, starts = mass * rate**2 * kept.values[-1] / math.hypot(*kept.way), {}
@@ -350,7 +350,7 @@ def _pushes(view, kept):
             law = law.plus(terms[-1], {name: math.nan})
     name = fresh_name(law, "c")
     drag = Call("mul", Constant(name), Input("v_i", STATE_INPUTS["v_i"]))
-    starts |= {name: -mass * decay_of(view.fit)} if rate else {}
+    starts |= {name: -mass * max(decay_of(view.fit), LEAST_DRAG * rate)} if rate else {}
     return tuple(terms), (Term(drag, "field"),), starts
 
 

@@ -255,9 +255,10 @@ def _slowed(view, search, form, rate):
     )  # fmt: skip
 
 
-def usual_mass(scenes):
-    """A mass that bodies have, kg; 1 where none is known."""
-    masses = np.array([s.entities[s.dynamic[0]].mass for s in scenes], dtype=float)
+def usual_mass(scenes, name=""):
+    """A mass that bodies have, or the one of a name, kg; 1 where none is known."""
+    own = [(s, [k for k in s.dynamic if s.names[k] == name] or s.dynamic) for s in scenes]
+    masses = np.array([s.entities[rows[0]].mass for s, rows in own if len(rows)], dtype=float)
     known = masses[np.isfinite(masses)]
     return float(np.median(known)) if len(known) else 1.0
 
