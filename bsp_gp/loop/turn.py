@@ -100,9 +100,10 @@ class Turn(Rows):
             if clock.is_over:
                 self.unasked = queue[at:]
                 break
-            k, n = self.run.proposers.index(proposer) + 1, len(self.run.proposers)
+            k = self.run.proposers.index(proposer)
             if is_told:
-                self.run.says(f"round {number}: {proposer.name} ({k} of {n})")
+                place = f"{proposers.index(proposer) + 1} of {len(proposers)}"
+                self.run.says(f"round {number}: {proposer.name} ({place})")
             if proposer in here:
                 parts.begin()
                 found[k] = _proposed(([proposer], view, clock), 0)
