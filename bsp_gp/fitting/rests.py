@@ -37,8 +37,8 @@ SMOOTH = 0.5
 """Of the squares of steps from row to row, in those of places about their mean, below which rows
 are a motion: of noise without a memory they are twice as large."""
 LAG, WANDERING = 4, 0.5
-"""Rows from one to another in which a random walk goes twice as far as in a step, and part of that,
-squared, and of the steps of others, from which on rows wander."""
+"""Rows in which a random walk goes twice as far as in one step; and part of the steps of others,
+and of the square of that way, from which on rows wander."""
 SAME = 1e-3
 """Standard deviations of the noise within which places are the same."""
 HELD, CHANCE = 4.0, 1e-6

@@ -311,7 +311,8 @@ class Rows:
 
     def _is_echo(self, proposal, found):
         """Whether a sum has a push in it with the period of the swing: a harmonic of anything."""
-        if found is None or found.is_failed or len(proposal.formulas) < 2:
+        is_sum = found is not None and not found.is_failed and len(proposal.formulas) > 1
+        if not is_sum or not self.base.shows_tracks:
             return False
         rates = [name for formula in proposal.formulas for name in rates_in(formula)]
         constants = found.law.constants

@@ -337,9 +337,9 @@ def _pushes(view, kept):
         return (), (), {}
     law, terms, most = view.fit.law, [], max(map(abs, kept.way))
     mass, rate = usual_mass(view.dataset.scenes, kept.pair[0]), 0.0
-    if kept.code == "rod":
+    if kept.code == "rod" and most > 0:
         rate = swing_of(view.fit, body=kept.pair[0])
-    pull, starts = mass * rate**2 * kept.values[-1] / math.hypot(*kept.way), {}
+    pull, starts = mass * rate**2 * kept.values[-1] / (math.hypot(*kept.way) or 1.0), {}
     types = dataset_types(view.dataset)
     for axis, along in enumerate(kept.way):
         if abs(along) > LEANING * most:
