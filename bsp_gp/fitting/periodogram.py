@@ -120,11 +120,18 @@ def swing_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=1):
     n_modes : int
         Rates that may make it together, one or two: bodies that are tied to each other beat.
     """
-    return modes_of(found, foreseen, body, turns, n_modes)[0]
+    shown = _shown(found, foreseen, body, turns, n_modes)
+    return 0.0 if shown is None else float(shown[1][shown[2]])
 
 
-def modes_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=2):
-    """The same, and another rate far from it that shows beside it, or 0."""
+def modes_of(found, body=None):
+    """The same of two rates, and one far from it that shows beside it; 0 where there is none."""
+    shown = _shown(found, False, body, FEWEST_TURNS, 2)
+    return (0.0, 0.0) if shown is None else (float(shown[1][shown[2]]), _beside(*shown))
+
+
+def _shown(found, foreseen, body, turns, n_modes):
+    """Tracks that swing, rates, the number of theirs, how it fades, and seconds; or None."""
     tracks = join(chains.observed for chains in found.groups)
     if foreseen:
         tracks = tracks - found.residual
@@ -137,7 +144,7 @@ def modes_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=2):
     if body is not None:
         kept = [k for k in kept if found.channels.body_names[found.channels.body[k]] == body]
     if (foreseen and found.is_failed) or not kept:
-        return 0.0, 0.0
+        return None
     kept = kept[:: -(-len(kept) // MOST_TRACKS)]
     lesser = {k: _lesser(times[seen[k], k], tracks[seen[k], k]) for k in kept}
     span = float(max(np.ptp(t) for t, _ in lesser.values()))
@@ -161,9 +168,8 @@ def modes_of(found, foreseen=False, body=None, turns=FEWEST_TURNS, n_modes=2):
         is_shown = made > max(SWINGING * whole, SHOWN * noise, ROUNDING)
         shown = span * min(SEEN / fading, 1.0) if fading else span
         if is_shown and rates[best] * shown > 2 * np.pi * turns:
-            second = _beside(own, rates, best, fading / span, span) if n_modes > 1 else 0.0
-            return float(rates[best]), second
-    return 0.0, 0.0
+            return own, rates, best, fading / span, span
+    return None
 
 
 def _beside(own, rates, best, fading, span):

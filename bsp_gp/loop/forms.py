@@ -9,7 +9,7 @@ import numpy as np
 from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.fitting.jackknife import jackknife_errors
 from bsp_gp.fitting.law_fit import is_misfit
-from bsp_gp.fitting.parts.contacts import Kick
+from bsp_gp.fitting.parts.contacts import Kick, kicks_text
 from bsp_gp.language.formula import rename_constants
 from bsp_gp.language.render import to_text
 from bsp_gp.loop.evidence import WEAK, significance
@@ -102,9 +102,8 @@ def _shorter(proposal):
 def without_open_kicks(proposal, found, base):
     """Several kicks without those that may be anywhere in their recording; None where none may.
 
-    Of those that a hypothesis has beside its base.
-
-    Where two others explain what it was proposed for, a kick has no size and no instant.
+    Of those that a hypothesis has beside its base. Where two others explain what it was proposed
+    for, a kick has no size and no instant.
     """
     sizes = np.asarray(found.errors)
     if is_misfit(found):
@@ -120,11 +119,9 @@ def without_open_kicks(proposal, found, base):
     lost = {kick.mark for kick in kicks} - {kick.mark for kick in told}
     parts = tuple(p for p in proposal.hypothesis.parts
                   if not (isinstance(p, Kick) and p.mark in lost))  # fmt: skip
-    where = ", ".join(
-        f"{k.entity}[{k.scene}, {found.law.constants[k.instant]:.4g} s]" for k in told
-    )
+    text = kicks_text((k.entity, k.scene, found.law.constants[k.instant]) for k in told)
     share, hypothesis = len(told) / len(kicks), Hypothesis(parts)
     return replace(
-        proposal, text=f"kick {where}", hypothesis=hypothesis, starts=hypothesis.own(found.starts),
+        proposal, text=text, hypothesis=hypothesis, starts=hypothesis.own(found.starts),
         rank=round(share * proposal.rank), log_prior=share * proposal.log_prior,
     )  # fmt: skip

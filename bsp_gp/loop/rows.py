@@ -51,7 +51,7 @@ class Rows:
 
     def __init__(self, run, found, hypothesis, is_little=False, known=None):
         self.run, self.base = run, found
-        # What was fitted to the same base before, by key: proposals and what `fit_of` told of each.
+        # Fits to the same base before, by key: of source, proposal and what `fit_of` told each.
         self.known, self._taken = {} if known is None else known, set()
         self.most_fits = run.criteria.most_fits // (FEWER if is_little else 1)
         self.near, self.missing = found, 0.0  # where fits begin; chi-squared that is to be gained

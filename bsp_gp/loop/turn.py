@@ -206,7 +206,7 @@ class Turn(Rows):
         queue = Queue(self, every)
         fits, n_fits = self._fits(queue.jobs), 0
         for at, (source, proposal) in enumerate(queue.jobs):
-            if any([queue.ends_with(at, *told) for told in self._take_over(proposal.key, source)]):
+            if any([queue.ends_with(at, *told) for told in self._take_over(proposal.key)]):
                 break
             if proposal.key in self._taken:
                 continue
@@ -232,11 +232,11 @@ class Turn(Rows):
         self._fit_foreseen()
         self._fit_part()
 
-    def _take_over(self, key, source="constraints"):
+    def _take_over(self, key):
         """Rows and proposals of what was fitted before under a key, once."""
         found = self.known.pop(key, ())
         self._taken |= {key} if found else set()
-        return [self._followed(source, *each) for each in found]
+        return [self._followed(*each) for each in found]
 
     def _fit_foreseen(self):
         """Fit what is foreseen to be likelier than all that was fitted, with fewer numbers.
@@ -319,7 +319,7 @@ class Turn(Rows):
                     # Beside forces that know no physics the rod alone is as good: it is no law.
                     self.rows[before.id] = replace(before, status="less")
                     known.clear()
-                known.append((one, found))
+                known.append((source, one, found))
                 before = row
                 if row.is_fit and row.left < MOST_BESIDE * self.rows[0].left:
                     leaves_little = True

@@ -135,7 +135,7 @@ def test_rods_that_were_fitted_before_all_others_are_not_fitted_again():
     )  # fmt: skip
     begun = fit(hypothesis, data)
     rod = Proposal("rod", "L", hypothesis, 0.0, 1.0, rank=2, kind="constraint")
-    turn = Turn(run, begun, hypothesis, known={rod.key: [(rod, (begun, begun, 5.0))]})
+    turn = Turn(run, begun, hypothesis, known={rod.key: [("rods", rod, (begun, begun, 5.0))]})
     (told,) = turn._take_over(rod.key)
     assert told == (turn.rows[1], rod) and not turn._take_over(rod.key)
     assert [row.code for row in turn.rows] == ["base", "rod"]

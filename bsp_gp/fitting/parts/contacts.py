@@ -78,3 +78,9 @@ class Kick(Forces):
         if entity.name != self.entity:
             return entity
         return replace(entity, properties={**entity.properties, self.mark: 1.0})
+
+
+def kicks_text(kicks):
+    """Kicks as the text of a cause, of body, scene and instant each."""
+    where = ", ".join(f"{body}[{scene}, {time:.4g} s]" for body, scene, time in kicks)
+    return f"kick {where}"

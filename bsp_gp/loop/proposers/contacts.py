@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bsp_gp.fitting.parts.contacts import Kick
+from bsp_gp.fitting.parts.contacts import Kick, kicks_text
 from bsp_gp.loop.proposal import Family, Proposal
 from bsp_gp.physics.force import fresh_name, numbered
 
@@ -277,8 +277,8 @@ def _proposal(view, spans, peaks, gain):
         hypothesis, starts = hypothesis + part, starts | own
         for term in part.law.terms:
             law = law.plus(term, own)
-    where = ", ".join(f"{p.body}[{p.scene}, {p.time:.4g} s]" for p in peaks)
+    text = kicks_text((p.body, p.scene, p.time) for p in peaks)
     return Proposal(
-        "contact", f"kick {where}", hypothesis,
+        "contact", text, hypothesis,
         -(view.criteria.cause_nats + view.odd_nats) * len(peaks), gain, len(starts), starts,
     )  # fmt: skip

@@ -93,7 +93,10 @@ class Swings:
         else:
             proposals = tuple(_apart(view, search, form, rates) for form in forms[:1])
             if forms and are_coupled(rates, scenes):
-                ways = (_coupled(view, search, forms[0], rates, each) for each in (False, True))
+                modes = _modes(view, float(np.median(list(rates.values()))))
+                ways = (
+                    _coupled(view, search, forms[0], rates, modes, each) for each in (False, True)
+                )
                 proposals += tuple(ways)
         return Family(self.name, proposals, is_control=True)
 
@@ -158,7 +161,7 @@ def are_coupled(rates, scenes):
     return is_pair and max(rates.values()) < ALIKE * min(rates.values())
 
 
-def _coupled(view, search, form, rates, is_apart):
+def _coupled(view, search, form, rates, modes, is_apart):
     """Springs to a rest point of each of two bodies, one between them, and a drag.
 
     Energy goes over from one to the other and back, and each alone seems to be driven. Where masses
@@ -177,7 +180,7 @@ def _coupled(view, search, form, rates, is_apart):
         Call("mul", Constant(drag + by), velocity),
     )  # fmt: skip
     mass, rate = usual_mass(dataset.scenes), float(np.median(list(rates.values())))
-    together, apart = _modes(view, rate)
+    together, apart = modes
     amounts = {
         strength: mass * together**2, across: mass * (apart**2 - together**2) / 2,
         drag: -mass * max(decay_of(view.fit), LEAST_DRAG * rate),
