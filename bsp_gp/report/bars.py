@@ -108,7 +108,9 @@ def rounds_figure(report):
         return None
     height = 0.55 + 0.24 * max(len(rows) + len({r[0] for r in rows}) for _, rows in panels)
     figure = new_figure(lambda f: _draw_rounds(f, panels), max(height, 1.4))
-    caption = "Error on held-out data before and after every round, and the floor set by the noise"
+    caption = "Error on held-out data before and after every round"
+    has_floor = any(row[3] == FLOOR for _, rows in panels for row in rows)
+    caption += ", and the floor set by the noise" if has_floor else ""
     caption += "; logarithmic where dots stand for bars." if any(map(_is_log, panels)) else "."
     return caption, figure
 

@@ -31,6 +31,7 @@ from bsp_gp.loop.told import Told
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.report import codes
 from bsp_gp.report import folder as folder_module
+from bsp_gp.report.bars import rounds_figure
 from bsp_gp.report.drawing import (
     new_figure,
     plain,
@@ -496,6 +497,14 @@ def test_bodies_that_get_worse_are_named():
     assert re.search(r"Worse .*: cork \(\S+ → \S+ m\)\.$", worse_bodies(page))
     assert worse_bodies(page) in summary_text(page).replace("\n", " ")
     assert worse_bodies(page_of(report)) == ""
+
+
+def test_a_floor_that_is_not_drawn_is_in_no_caption():
+    """A floor above the error is told no more; the figure's caption named it all the same."""
+    report = sample.adopted()
+    bare = tuple(replace(r, floor=None) for r in report.rounds)
+    drawn, left_out = (rounds_figure(page_of(r))[0] for r in (report, replace(report, rounds=bare)))
+    assert "floor" in drawn and "floor" not in left_out
 
 
 def test_what_foresees_held_out_rows_worse_is_said_to():
