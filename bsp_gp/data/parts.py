@@ -13,6 +13,8 @@ LONG, WINDOW = 1300, 600
 """Rows from which a recording is taken in windows, and rows of one."""
 LEAST_SCENES = 5
 """Scenes of a part."""
+MOST_SHARE = 0.5
+"""Part of all rows from which a part is no quicker look at them."""
 
 
 def part_of(dataset):
@@ -37,6 +39,8 @@ def part_of(dataset):
     chosen = np.unique(np.linspace(0, len(cut.scenes) - 1, wanted).round().astype(int))
     scenes = tuple(cut.scenes[k] for k in chosen)
     n_few = rows_of(scenes)
+    if n_few > MOST_SHARE * n_rows:
+        return None
     note = f"{CHECK}there was time for {n_few:,} of {n_rows:,} rows, in {len(scenes)} parts"
     return replace(cut, scenes=scenes, notes=(*dataset.notes, note))
 
