@@ -51,7 +51,8 @@ CAUSES = (
     "offset", "origin", "length", "delay", "exposure", "lens", "decentred", "zoom", "shutter",
     "perspective", "inclined", "late_log", "swapped_tracks", "lost_track", "untrimmed", "bad_row",
     "clock_jump", "hidden_body", "orbit", "trend", "bent_trend", "contact", "collision", "bounce",
-    "rod", "wire", "frame", "reference", "kicks", "noise", "varying_strength", "free_force",
+    "rod", "rods", "wire", "frame", "reference", "kicks", "noise", "varying_strength",
+    "free_force",
 )  # fmt: skip
 """What a hypothesis adds; the last two know no physics: none of these."""
 CHANGES = (

@@ -35,6 +35,7 @@ CAUSES = {
     "collision": "a collision",
     "bounce": "a floor or wall that it bounces off",
     "rod": "a distance that stays constant: a string or rod",
+    "rods": "bodies on rods that hang from one another",
     "wire": "a line, curve or plane that is kept to: a wire or rail",
     "frame": "a frame that turns: Coriolis and centrifugal forces",
     "reference": "the acceleration of the body from which places count",

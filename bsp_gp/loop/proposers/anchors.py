@@ -12,7 +12,8 @@ from bsp_gp.fitting.hypothesis import Forces, Hypothesis
 from bsp_gp.fitting.parts.constraints import freed_of, left_by, read_constraint
 from bsp_gp.fitting.tangent import columns_beside
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
-from bsp_gp.loop.proposers.rods import CONSTANT, beside_probes, deviation
+from bsp_gp.loop.proposers.rods import beside_probes
+from bsp_gp.loop.proposers.steady import CONSTANT, deviation
 from bsp_gp.loop.view import gains
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.force import fresh_names

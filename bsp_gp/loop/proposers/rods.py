@@ -1,85 +1,39 @@
-"""Constraints that tracks betray: a distance, a line, curve or plane that stays what it is."""
+"""Constraints that tracks betray: bodies on rods, wires and rails, with what moves them."""
 
 import math
-from dataclasses import dataclass, replace
-from string import ascii_lowercase
+from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.parts.constraints import read_constraint
+from bsp_gp.fitting.parts.latents import unknown_properties
 from bsp_gp.fitting.periodogram import swing_of
 from bsp_gp.fitting.probes import probe_terms
+from bsp_gp.inference.latents import Latent, Latents
+from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, Input
 from bsp_gp.language.inputs import STATE_INPUTS
 from bsp_gp.loop.proposal import PATIENT, Family, Proposal
 from bsp_gp.loop.proposers.periods import coordinate_of
+from bsp_gp.loop.proposers.steady import alone, together, tracks_of
 from bsp_gp.loop.proposers.swings import LEAST_DRAG, decay_of, usual_mass
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.constrained import constraints_of
-from bsp_gp.physics.force import ForceLaw, Term, fresh_name
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name, numbered
+from bsp_gp.physics.masses import are_units
 
-CONSTANT = 3.0
-"""Deviations of a constant quantity, in those that its changes from row to row tell of noise."""
-NEARLY = 0.01
-"""Part of the way of a body that swings up to which its distance from a point is about constant:
-bobs leave their plane, and cameras look aslant."""
-STEEP = 20.0
-"""Slope of a curve from which it is one of the other coordinate."""
-ARC = 30.0
-"""Deviations from a line from which an arc that does not come back is one about a point."""
-BENT = 3.0
-"""Deviations from a line, in the same, from which a track is one about a point."""
-CLOSER = 0.9
-"""Part of what a circle leaves below which another curve follows a track better: a piece of a
-circle is nearly a parabola, and strings are commoner than rails of that form."""
-MOVED = 10.0
-"""The same of the way between two bodies that have moved about each other."""
-UNEVEN = 0.2
-"""Standard deviation of a speed, in its mean, that no round orbit has."""
 MISFIT = 9.0
 """Mean square of what the law leaves, in the same, from which bodies may be held."""
 MOST = 0.7
 """Part of all misfit that must be of bodies on rods, if nothing else is to be looked at first."""
-CURVED, WRITTEN = tuple(range(2, 13)), 4
-"""Degrees of curves along which bodies may go, and the highest that is written in powers of a
-place; beyond, in powers of the way from the middle of the track in its half width."""
-COMES_BACK = 0.5
-"""Part of the way along a curve that a body must come back."""
-NARROW, DIPS = 0.05, 0.5
-"""Part of the extent of a track within which it keeps to a curve; part of its rows where this bends
-upwards, if it is in a dip."""
 LEANING = 0.1
 """Part of the greatest component of a weight from which another one is asked for."""
-LEAST_ROWS = 12
-EXACT = 1e-7
-"""Part of the extent below which deviations are rounding."""
 MOST_BODIES = 12
 """That may be tied to one another; of more some two always are about as far apart."""
-
-
-@dataclass(frozen=True)
-class _Kept:
-    """A quantity that stays constant, as the constraint `text` with places for names says.
-
-    `level` is that of the noise, told by changes from row to row, and `spread` that of places about
-    a curve, metres. `is_sole`: nothing else would keep the quantity; an orbit may be round, at an
-    even speed. `normal` is across a line or plane; `way` is whither a weight pulls that keeps the
-    body swinging.
-    """
-
-    code: str
-    text: str
-    pair: tuple
-    stems: tuple
-    values: tuple
-    level: float
-    is_sole: bool = False
-    normal: tuple | None = None
-    spread: float = 0.0
-    way: tuple = ()
+HEAVIER = 30.0
+"""Times that a body on a rod may be heavier, or lighter, than the one that it hangs from."""
 
 
 class Rods:
@@ -94,19 +48,20 @@ class Rods:
             return Family(self.name)
         pairs = [pair for part in constraints_of(view.fit.law) for pair in part.pairs]
         held = {name for pair in pairs for name in pair}
-        tracks = _tracks(view.dataset)
+        tracks = tracks_of(view.dataset)
         names = dict.fromkeys(s.names[k] for s in view.dataset.scenes for k in s.dynamic)
         free = [name for name in names if name in tracks and name not in held]
-        found = [_alone(name, tracks[name], view.dataset.up or "") for name in free]
+        found = [alone(name, tracks[name], view.dataset.up or "") for name in free]
         others = free if len(free) <= MOST_BODIES else []
         still = [name for name in tracks if name not in names]
         found += [
-            _together(one, other, tracks)
+            together(one, other, tracks)
             for k, one in enumerate(free) for other in (*others[k + 1 :], *still)
         ]  # fmt: skip
         found = [kept for kept in found if kept is not None]
         every = {name for kept in found if kept.normal is None for name in kept.pair}
         proposals = [p for kept in found for p in (_proposal(view, kept, every, len(found)),) if p]
+        proposals += filter(None, (_hung(view, own, len(found)) for own in _chains(found, names)))
         proposals.sort(key=lambda p: -p.promise)
         best = max(proposals, key=lambda p: p.gain, default=None)
         return Family(
@@ -115,192 +70,24 @@ class Rods:
         )  # fmt: skip
 
 
-def _tracks(dataset):
-    """Seen places of every body, one array (T, d) per scene, nan where it is not seen."""
-    out = {}
-    for scene in dataset.scenes:
-        for k, name in enumerate(scene.names):
-            out.setdefault(name, {})[scene.name] = scene.positions[:, k]
-    return out
-
-
-def _alone(name, tracks, up=""):
-    """The line or curve along which, or the point about which a body moves; or None.
-
-    Parameters
-    ----------
-    tracks : dict of str to ndarray, shape (T, d)
-        By scene.
-    up : str
-        The declared vertical, ``"y"`` or ``"-y"``; none = not declared.
-    """
-    places = np.concatenate(list(tracks.values()))
-    seen = np.isfinite(places).all(axis=1)
-    if seen.sum() < LEAST_ROWS:
-        return None
-    middle = places[seen].mean(axis=0)
-    axes = np.linalg.svd(places[seen] - middle, full_matrices=False)[2]
-    line = {key: (p - middle) @ axes[-1] for key, p in tracks.items()}
-    bend, level = deviation(line)
-    if _is_constant(bend, level, places[seen]):
-        names = "xyz"[: len(middle)]
-        text = " + ".join(f"{axes[-1][k]:.6g} * {x}_i" for k, x in enumerate(names)) + " = {0}"
-        values = (float(middle @ axes[-1]),)
-        return _Kept("wire", text, (name, ""), ("b",), values, level, normal=tuple(axes[-1]))
-    curve = _along_a_curve(name, tracks, up) if len(middle) == 2 else None
-    centre, radius = _sphere(places[seen])
-    spread, level = deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
-    if not _swings(tracks, axes[0]) and bend < ARC * level:
-        return None  # of a track that is thrown, noise makes an arc
-    is_about = spread <= NEARLY * np.ptp(places[seen], axis=0).max() and _swings(tracks, axes[0])
-    is_about &= spread < CLOSER * bend  # a circle that follows a track as a line does is none
-    if bend < BENT * level or not (is_about or _is_constant(spread, level, places[seen])):
-        return curve if bend > BENT * level else None
-    stems = tuple(f"pivot_{axis}" for axis in "xyz"[: len(centre)])
-    point = ", ".join(f"{{{k}}}" for k in range(len(centre)))
-    text = f"norm(p_i - ({point})) = {{{len(centre)}}}"
-    values = (*centre.tolist(), radius)
-    rod = _Kept("rod", text, (name, ""), (*stems, "L"), values, level, _is_uneven(tracks),
-                way=tuple((middle - centre).tolist()))  # fmt: skip
-    is_better = curve is not None and curve.spread < CLOSER * spread
-    return curve if is_better else rod
-
-
-def _swings(tracks, axis):
-    """Whether a body comes back along a direction, as what is thrown does not."""
-    rows = [p[np.isfinite(p).all(axis=1)] @ axis for p in tracks.values()]
-    return any(len(own) > 1 and _gone_back(own) > COMES_BACK * np.ptp(own) for own in rows)
-
-
-def _along_a_curve(name, tracks, up):
-    """The curve in a plane, one coordinate as a polynomial of the other, that a body goes along.
-
-    None where there is none, and where nothing comes back along it: what is thrown flies along a
-    parabola as well. It does not fly through a dip.
-    """
-    for of, along in ((1, 0), (0, 1)):
-        rows = [p[np.isfinite(p).all(axis=1)] for p in tracks.values()]
-        places = np.concatenate(rows)
-        swept = float(np.ptp(places[:, along]))
-        back = max(_gone_back(own[:, along]) for own in rows if len(own) > 1)
-        comes_back, may_dip = back > COMES_BACK * swept, up[-1:] == "xy"[of]
-        extent = float(np.ptp(places, axis=0).max())
-        found = []  # (spread beside the numbers of the curve, spread, level, curve)
-        for degree in CURVED if comes_back or may_dip else ():
-            if 2 * (degree + 1) > len(places):
-                break
-            curve = np.polynomial.Polynomial.fit(places[:, along], places[:, of], degree)
-            slope = curve.deriv()
-            if np.abs(slope(places[:, along])).max() > STEEP:
-                break
-            left = {
-                key: (p[:, of] - curve(p[:, along])) / np.hypot(1.0, slope(p[:, along]))
-                for key, p in tracks.items()
-            }
-            spread, level = deviation(left)
-            lift = slope.deriv()(places[:, along]) * (-1 if up.startswith("-") else 1)
-            is_held = comes_back or np.mean(lift > 0) > DIPS
-            is_narrow = spread < NARROW * extent
-            if is_held and is_narrow and _is_constant(spread, level, places):
-                beside = spread / math.sqrt(1 - (degree + 1) / len(places))
-                found.append((beside, spread, level, curve))
-        if found:  # the simplest of those that follow the track about as well as any
-            most = max(min(one[0] for one in found) / CLOSER, EXACT * extent)
-            return _kept_curve(name, of, *next(one for one in found if one[0] <= most)[1:])
-    return None
-
-
-def _kept_curve(name, of, spread, level, curve):
-    """A body that is kept to a curve of one coordinate, a polynomial of the other."""
-    place, plain, degree = f"{'yx'[of]}_i", curve.convert(), curve.degree()
-    if degree > WRITTEN:
-        low, high = curve.domain.tolist()
-        middle, half = (float(f"{n:.4g}") for n in ((low + high) / 2, (high - low) / 2))
-        place = f"(({place} - {middle!r} [m]) / ({half!r} [m]))"
-        plain = curve.convert(domain=(middle - half, middle + half))
-    terms = ["{0}", f"{{1}} * {place}", *(f"{{{k}}} * {place}^{k}" for k in range(2, degree + 1))]
-    stems = tuple(f"rail_{k}" for k in ascii_lowercase[: degree + 1])
-    return _Kept(
-        "wire", f"{'xy'[of]}_i = " + " + ".join(terms), (name, ""), stems,
-        tuple(plain.coef.tolist()), level, True, spread=spread,
-        way=tuple(float(k == of) for k in (0, 1)),
-    )  # fmt: skip
-
-
-def _gone_back(places):
-    """How far a coordinate comes back from the farthest that it had reached, on either side."""
-    ways = (places, -places)
-    return min(float((np.maximum.accumulate(way) - way).max()) for way in ways)
-
-
-def _together(one, other, tracks):
-    """The distance of two bodies, if it stays constant."""
-    shared = [key for key in tracks[one] if key in tracks[other]]
-    if not shared:
-        return None
-    gaps = {key: np.linalg.norm(tracks[one][key] - tracks[other][key], axis=1) for key in shared}
-    moves = np.concatenate([tracks[one][key] - tracks[other][key] for key in shared])
-    moves = moves[np.isfinite(moves).all(axis=1)]
-    if len(moves) < LEAST_ROWS:
-        return None
-    spread, level = deviation(gaps)
-    if np.ptp(moves, axis=0).max() < MOVED * level or not _is_constant(spread, level, moves):
-        return None
-    ways = {key: tracks[one][key] - tracks[other][key] for key in shared}
-    values = (float(np.linalg.norm(moves, axis=1).mean()),)
-    return _Kept(
-        "rod", "norm(p_i - p_j) = {0}", (one, other), ("L",), values, level, _is_uneven(ways)
-    )
-
-
-def _sphere(places):
-    """Centre and radius of the circle or sphere that places lie on best."""
-    matrix = np.column_stack([2 * places, np.ones(len(places))])
-    start = np.linalg.lstsq(matrix, np.square(places).sum(axis=1), rcond=None)[0][:-1]
-
-    def left(centre):
-        distance = np.linalg.norm(places - centre, axis=1)
-        return distance - distance.mean()
-
-    centre = least_squares(left, start).x
-    return centre, float(np.linalg.norm(places - centre, axis=1).mean())
-
-
-def deviation(series):
-    """Root mean square of deviations from the mean, and what noise makes of it."""
-    rows = [values[np.isfinite(values)] for values in series.values()]
-    mean = np.concatenate(rows).mean()
-    spread = np.sqrt(np.mean(np.square(np.concatenate(rows) - mean)))
-    steps = np.concatenate([np.diff(values, 3) for values in rows])
-    level = np.sqrt(np.mean(np.square(steps)) / 20) if len(steps) else spread
-    return float(spread), float(level)
-
-
-def _is_constant(spread, level, places):
-    return spread <= max(CONSTANT * level, EXACT * float(np.ptp(places, axis=0).max()))
-
-
 def _proposal(view, kept, every, n_tried):
     """The constraint beside the law; None where the law leaves nothing that it could explain."""
     fit = view.fit
-    names = [fresh_name(fit.law, stem) for stem in kept.stems]
     # Where nothing moves along some axis, that needs no wire.
     if not np.isfinite(np.array(fit.noise.levels)).all():
         return None
-    level = max(kept.level * _unseen(fit.noise, view.step), float(np.max(fit.noise.lowest)))
+    level = _level(view, kept)
     gain, n_rows = _misfit(fit, kept, level)
     if gain < (MISFIT - 1) * n_rows:
         return None
+    names = [fresh_name(fit.law, stem) for stem in kept.stems]
     try:
-        numbers = dict(zip(names, kept.values, strict=True))
-        part = read_constraint(view.dataset, kept.text.format(*names), (kept.pair,), numbers)
+        part = _part(view.dataset, kept, names)
     except LawError:  # masses that a rod would need are not known
         return None
     pushes, braked, starts = _pushes(view, kept)
     log_prior = -view.criteria.cause_nats * (1 + len(pushes)) - math.log(n_tried)
-    text = kept.text.format(*(f"{value:.4g}" for value in kept.values))
-    for letter, name in zip("ij", kept.pair, strict=True):
-        text = text.replace(f"_{letter}", f"_{name}") if name else text
+    text = _text(kept)
     is_sole = kept.is_sole and _share(fit, every) > MOST
     hypothesis = _under(view.hypothesis + part, pushes, starts)
     proposal = Proposal(
@@ -316,6 +103,112 @@ def _proposal(view, kept, every, n_tried):
         log_prior=log_prior - view.criteria.cause_nats,
     )  # fmt: skip
     return replace(proposal, instead=other)
+
+
+def _level(view, kept):
+    """That of the noise of a quantity, as far as its rows and the fit tell it."""
+    noise = view.fit.noise
+    return max(kept.level * _unseen(noise, view.step), float(np.max(noise.lowest)))
+
+
+def _part(dataset, kept, names):
+    """The constraint with its constants, by their names."""
+    numbers = dict(zip(names, kept.values, strict=True))
+    return read_constraint(dataset, kept.text.format(*names), (kept.pair,), numbers)
+
+
+def _text(kept):
+    """The constraint as it was seen, with the names of its bodies."""
+    text = kept.text.format(*(f"{value:.4g}" for value in kept.values))
+    for letter, name in zip("ij", kept.pair, strict=True):
+        text = text.replace(f"_{letter}", f"_{name}") if name else text
+    return text
+
+
+# --- bodies that hang from one another ------------------------------------------------------------
+
+
+def _chains(found, moving):
+    """Rods that lead from a point to one body and on to others, a list for every such chain."""
+    rods = [kept for kept in found if kept.code == "rod"]
+    for first in rods:
+        own = [first]
+        if first.pair[1] in moving:
+            continue
+        while True:
+            bodies = {name for kept in own for name in kept.pair}
+            more = [
+                kept for kept in rods
+                if kept not in own and set(kept.pair) <= set(moving) and bodies & set(kept.pair)
+            ]  # fmt: skip
+            if not more:
+                break
+            own += more
+        if len(own) > 1:
+            yield own
+
+
+def _hung(view, chain, n_tried):
+    """All rods of a chain with a weight at once: one without the others explains nothing.
+
+    Rods between bodies pass forces on by their masses; where none is known, those of all but the
+    first are fitted, in its mass.
+    """
+    fit, law = view.fit, view.fit.law
+    if law.terms or not np.isfinite(np.array(fit.noise.levels)).all():
+        return None
+    scored = [(kept, _level(view, kept)) for kept in chain]
+    seen = [_misfit(fit, kept, level) for kept, level in scored]
+    if sum(gain for gain, _ in seen) < (MISFIT - 1) * sum(n for _, n in seen):
+        return None
+    hypothesis, dataset = view.hypothesis, view.dataset
+    bodies = list(dict.fromkeys(n for kept in chain for n in kept.pair if n and kept.pair[1]))
+    first = chain[0].pair[0]
+    lighter = [name for name in bodies if name != first]
+    if are_units(dataset):
+        masses = _masses(dataset, lighter)
+        hypothesis, dataset = hypothesis + masses, masses.seen(dataset)
+    taken, n_free = set(law.names), 0
+    try:
+        for kept in chain:
+            names = [numbered(stem, taken) for stem in kept.stems]
+            taken |= set(names)
+            n_free += len(names)
+            hypothesis += _part(dataset, kept, names)
+    except LawError:
+        return None
+    weight, names = _weight(law, dataset, chain[0].way)
+    hypothesis = _under(hypothesis, weight, {})
+    n_free += len(names) + len(lighter)
+    return Proposal(
+        "rods", "; ".join(map(_text, chain)), hypothesis,
+        -view.criteria.cause_nats * (len(chain) + 1) - math.log(n_tried),
+        max(gain for gain, _ in seen), n_free, kind="constraint",
+        judged=beside_probes(fit, hypothesis), error=max(level for _, level in scored),
+        is_sole=True, patience=PATIENT, is_afresh=True,
+    )  # fmt: skip
+
+
+def _masses(dataset, names):
+    """Unknown masses of bodies, in that of another one."""
+    prior = Prior("log_uniform", 1 / HEAVIER, HEAVIER)
+    items = tuple(
+        Latent(f"mass[{name}]", "mass", prior,
+               tuple((scene.name, name) for scene in dataset.scenes if name in scene.names))
+        for name in names
+    )  # fmt: skip
+    return unknown_properties(dataset, Latents(items), dataset.scenes)
+
+
+def _weight(law, dataset, way):
+    """Terms of a weight along the axes of a way, and the names of their constants."""
+    types, terms, names = dataset_types(dataset), [], []
+    for axis, along in enumerate(way):
+        if abs(along) > LEANING * max(map(abs, way)):
+            names.append(numbered("c", {*law.names, *names}))
+            push = Call("mul", Constant(names[-1]), Input("m_i", types["m_i"]))
+            terms.append(Term(Call("mul", push, coordinate_of(types, axis)[1]), "field"))
+    return tuple(terms), names
 
 
 def _under(hypothesis, terms, starts):
@@ -401,13 +294,3 @@ def _share(fit, bodies):
     own = [k for k, name in enumerate(fit.channels.body_names) if name in bodies]
     square = np.square(fit.whitened).sum(axis=0)
     return float(square[np.isin(fit.channels.body, own)].sum()) / (float(square.sum()) or 1.0)
-
-
-def _is_uneven(series):
-    """Whether a body goes about a point at anything but a constant speed, as an orbit might."""
-    seen = (p[np.isfinite(p).all(axis=1)] for p in series.values())
-    steps = [np.diff(p, axis=0) for p in seen]
-    speed = np.linalg.norm(np.concatenate(steps), axis=1)
-    level = np.concatenate([np.diff(own, 2, axis=0) for own in steps])
-    noise = 2 * np.square(level).mean() / 20 if len(level) else 0.0  # of a step, along its way
-    return bool(max(speed.var() - noise, 0.0) > (UNEVEN * speed.mean()) ** 2)

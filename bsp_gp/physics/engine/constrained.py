@@ -13,6 +13,7 @@ from bsp_gp.language.inputs import property_of
 from bsp_gp.physics.engine.driven import Driven
 from bsp_gp.physics.engine.graph import Graph, Tape
 from bsp_gp.physics.engine.lowering import MOVING, Lowering
+from bsp_gp.physics.engine.owners import fitted_properties
 
 APPROACHES = 8
 """Newton's steps by which states are put on constraints."""
@@ -168,7 +169,10 @@ class Constraints:
         self.n, self.k = self.n_own * self.n_dims, len(parameters)
         self.driven = Driven(chains)
         mass = chains.column("mass")[: self.n_own]
-        self.weight = np.repeat(1.0 / np.where(np.isfinite(mass), mass, 1.0), self.n_dims, axis=0)
+        self.weight = self._weights(np.where(np.isfinite(mass), mass, 1.0))
+        self._fitted_mass = None  # which parameter, (n, S); -1 = it is known
+        if "mass" in fitted_properties(law):
+            self._fitted_mass = np.repeat(owners.parameter("mass_i", "field"), self.n_dims, axis=0)
         self.links = [
             link for part in constraints_of(law) for link in self._links(_Program(part, chains))
         ]
@@ -176,6 +180,10 @@ class Constraints:
         for link in self.links:
             for name in link.program.names:
                 self._number[name] = owners.parameter(name, "field")
+
+    def _weights(self, mass):
+        """Inverse masses (R, S) of coordinates, (n, S)."""
+        return np.repeat(1.0 / mass, self.n_dims, axis=0)
 
     def _links(self, program):
         """One link for each of the bodies of a chain that the constraint is on."""
@@ -194,6 +202,8 @@ class Constraints:
     def set_constants(self, known):
         """Put the values of the constants of the law in."""
         self._ready = []
+        if self._fitted_mass is not None:
+            self.weight = self._weights(self.owners.values("mass_i", known, "field"))
         for link in self.links:
             constants = {
                 name: self._mine(link, self.owners.values(name, known, "field"))
@@ -345,6 +355,11 @@ class Constraints:
         own = np.concatenate([by_state, by_constant], axis=1)
         turned = np.einsum("cm,cnzm->nzm", tension, of_rows)
         own = own + self.weight[:, None, points.chain] * turned
+        if self._fitted_mass is not None:
+            number, weight = self._fitted_mass[:, points.chain], self.weight[:, points.chain]
+            row, at = np.nonzero(number >= 0)
+            by_mass = np.square(weight) * np.einsum("cm,cnm->nm", tension, jacobian)
+            own[row, 2 * n + number[row, at], at] -= by_mass[row, at]
         left = of_values[2] + np.einsum("cnm,nzm->czm", jacobian, own)
         left = own - self._solved(jacobian, left, points.chain)[0]
         # What the constraints take up leaves rounding, which must not pass for an influence.
