@@ -30,3 +30,29 @@ def bob(*args, units=("m", "s"), **kwargs):
     return bsp_gp.Dataset.from_frames(
         swing(*args, **kwargs), units=dict(zip(("length", "time"), units, strict=True)), up="y"
     )
+
+
+def double_bob(ratio=1.5, n=240, dt=1 / 60, sigma=1e-3, begin=(0.9, -0.5)):
+    """Two bobs, B on a rod of 0.25 m to A, A on one of 0.15 m to (0.03, -0.02); masses untold."""
+    one, other, t = 0.15, 0.25, np.arange(n) * dt
+
+    def rate(_, z):
+        a, b, u, v = z
+        c, s = np.cos(a - b), np.sin(a - b)
+        matrix = [[(1 + ratio) * one, ratio * other * c], [one * c, other]]
+        pulls = G * np.sin(a), G * np.sin(b)
+        right = [-ratio * other * v**2 * s - (1 + ratio) * pulls[0], one * u**2 * s - pulls[1]]
+        return [u, v, *np.linalg.solve(matrix, right)]
+
+    a, b, *_ = solve_ivp(rate, (0, t[-1]), [*begin, 0, 0], t_eval=t, rtol=1e-10, atol=1e-10).y
+    places = {"A": (0.03 + one * np.sin(a), -0.02 - one * np.cos(a))}
+    places["B"] = places["A"][0] + other * np.sin(b), places["A"][1] - other * np.cos(b)
+    noise = np.random.default_rng(0)
+    frames = [
+        pd.DataFrame({"t": t, "entity": name, "x": x + noise.normal(0, sigma, n),
+                      "y": y + noise.normal(0, sigma, n)})
+        for name, (x, y) in places.items()
+    ]  # fmt: skip
+    return bsp_gp.Dataset.from_frames(
+        pd.concat(frames), units={"length": "m", "time": "s"}, up="y"
+    )

@@ -756,7 +756,8 @@ def _with_bodies(found):
         return found
     if any(h.name in ("x", "y") and h.sure < GUESS and not h.body for h in found):
         return found
-    out = [_of_body(h) for h in found]
+    letters = _letters_of_bodies(found)
+    out = [_of_body(h, letters) for h in found]
     named = {h.body for h in out if h.is_renamed and h.body and h.name in _PLACES}
     if named:  # they are the only ones
         out = [h if h.is_renamed or h.body in named else old
@@ -779,6 +780,21 @@ def _with_bodies(found):
             for h, old in zip(out, found, strict=True)
         ]
     return out
+
+
+def _letters_of_bodies(found):
+    """Letters behind axes, ``x_A, y_A, x_B, y_B``, that are bodies though they name units as well.
+
+    Where two of them have the same axes, more than one; ``x_m`` beside ``x_px`` is a length.
+    """
+    axes = {}
+    for h in found:
+        after = re.fullmatch(r"([xyz])[\s_.-]([A-Za-z])", h.name) if h.sure == UNKNOWN else None
+        if after and not h.unit and unit_of(after[2]) != LENGTH:
+            axes.setdefault(after[2], set()).add(after[1])
+    kinds = set(map(frozenset, axes.values()))
+    is_each = len(axes) > 1 and len(kinds) == 1 and len(*kinds) > 1
+    return frozenset(axes) if is_each else frozenset()
 
 
 def _with_own_clocks(found):
@@ -927,7 +943,8 @@ def _as_angle(heading):
     return replace(heading, name="x", unit=unit, body=stem, sure=GUESS)
 
 
-def _of_body(heading):
+def _of_body(heading, letters=frozenset()):
+    """As a column of a body; `letters` are bodies, whatever units they name."""
     if heading.sure != UNKNOWN and not heading.is_renamed:
         return heading
     text, unit = heading.name, heading.unit
@@ -941,6 +958,7 @@ def _of_body(heading):
     is_length = not unit or unit_of(unit) == _UNIT_OF[axis.lower()] if axis else False
     # Beside a unit a name is none itself: `A_x [AU]` is a star's place; `A_x` is anything.
     is_apart = body.isdecimal() or (after and after[3] and not before)
+    is_apart = is_apart or (after and body in letters)
     names_unit = not (unit or heading.is_renamed or is_apart) and is_unit(body)
     is_turn = bool({*re.split(r"[\W_]+", body.lower())} & words_for("turn"))
     if not body or not is_length or is_error(body) or names_unit or is_turn:

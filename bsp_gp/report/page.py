@@ -10,6 +10,7 @@ from bsp_gp.language.render import to_text
 from bsp_gp.loop.criteria import CHANGES, KICKED
 from bsp_gp.loop.stored import formula_of
 from bsp_gp.loop.told import retold
+from bsp_gp.physics.engine.owners import fitted_properties
 from bsp_gp.physics.force import needs_masses, split_linear
 from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
 from bsp_gp.report.codes import (
@@ -49,6 +50,7 @@ _JOINED = (
     f"{CHECK}a rod joins bodies whose masses are not known: they are taken as equal, and what acts "
     "on them is told wrongly if they are not; --property mass=NAME:0.1,OTHER:0.2 gives them"
 )
+_IN_THE_FIRST = "masses of bodies on rods are told in that of the one that hangs first"
 _NAMED = {
     **dict.fromkeys(KICKED, kick), "inclined": inclination, "ripple": ripple, "bad_row": bad_rows,
     "clock_jump": clock_jumps,
@@ -174,7 +176,7 @@ def _notes(report):
             note = CHECK + note if needs_masses(report.law) else NO_MASS
         yield note
         if is_of_masses and is_joined:
-            yield _JOINED
+            yield _IN_THE_FIRST if "mass" in fitted_properties(report.law) else _JOINED
     if report.dataset["split"]:
         yield report.dataset["split"]
     symbols = {k: v for k, v in report.dataset["symbols"].items() if v != "rad"}

@@ -17,8 +17,9 @@ from bsp_gp.loop.proposers import rods
 from bsp_gp.loop.proposers.rods import Rods
 from bsp_gp.loop.view import View
 from bsp_gp.physics.bodies import dataset_types
+from bsp_gp.physics.masses import with_usable_masses
 from bsp_gp.report.page import page_of
-from tests.swings import LENGTH, PIVOT, WEIGHT, bob
+from tests.swings import LENGTH, PIVOT, WEIGHT, bob, double_bob
 
 
 def looked_at(data, laws):
@@ -186,3 +187,41 @@ def test_a_bob_that_goes_over_the_top_and_is_slowed_is_held_beside_a_drag():
     assert report.rounds[0].effect.code == "rod"
     told = " ".join(bsp_gp.summary_text(report).split())
     assert "What acts on it under way: uniform push along y; drag, linear in speed" in told
+
+
+def test_bobs_that_hang_from_one_another_are_held_at_once_and_tell_their_masses():
+    """Equal masses had been taken, and lengths and weight bent until they did."""
+    data = with_usable_masses(double_bob())
+    (hung,) = [p for p in Rods().propose(looked_at(data, [])).proposals if p.code == "rods"]
+    found = fit(hung.hypothesis, data)
+    assert found.status == "converged"
+    told = found.law.constants
+    assert told["mass[B]"] == pytest.approx(1.5, rel=0.02)
+    assert told["c1"] == pytest.approx(-9.81, abs=0.1)
+    assert (told["L1"], told["L2"]) == pytest.approx((0.15, 0.25), abs=2e-3)
+
+
+def test_rods_of_two_bodies_on_points_of_their_own_are_no_chain():
+    t = np.arange(200) / 60
+    frames = [
+        pd.DataFrame({"t": t, "entity": name,
+                      "x": at + 0.4 * np.sin(angle), "y": -0.4 * np.cos(angle)})
+        for name, at, angle in (("A", 0.0, 0.8 * np.sin(5 * t)), ("B", 2.0, 0.7 * np.cos(4 * t)))
+    ]  # fmt: skip
+    rows = pd.concat(frames)
+    rows[["x", "y"]] += 1e-3 * np.random.default_rng(0).standard_normal((len(rows), 2))
+    data = bsp_gp.Dataset.from_frames(rows, units={"length": "m", "time": "s"}, up="y")
+    family = Rods().propose(looked_at(with_usable_masses(data), []))
+    assert {p.code for p in family.proposals} == {"rod"}
+
+
+@pytest.mark.slow
+def test_a_filmed_double_pendulum_needs_no_declaration():
+    report = bsp_gp.close_loop(double_bob(), [], rng=np.random.default_rng(0), n_bootstrap=0)
+    assert [done.effect.code for done in report.rounds if done.adopted] == ["rods"]
+    found = {c.name: c for c in report.constants}
+    mass = found["mass[B]"]
+    assert abs(mass.value - 1.5) < 2 * (mass.high - mass.low)
+    told = page_of(report)
+    assert "hang from one another" in told.rounds[0].effect.name
+    assert any("told in that of the one that hangs first" in note for note in told.notes)

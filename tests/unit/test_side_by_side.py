@@ -39,6 +39,22 @@ def test_bodies_are_read_under_any_of_these_headings(names, bodies):
     np.testing.assert_allclose(dataset.scenes[0].positions[1], [[0.01, 0.01], [0.08, 0.06]])
 
 
+@pytest.mark.parametrize("letters", ["AB", "ab", "CD", "BA"])
+def test_bodies_whose_letters_name_units_are_bodies(letters):
+    """``y_A`` was no column and ``x_a`` refused: an ampere, a year."""
+    names = [f"{axis}_{letter}" for letter in letters for axis in "xy"]
+    dataset = bsp_gp.Dataset.from_frames(pucks(*names), units={"length": "m"})
+    (first, _) = dataset.scenes
+    assert sorted(first.names) == sorted(letters)
+    places = first.positions[:, first.names.index(letters[0])]
+    np.testing.assert_allclose(places[2], [2.0, 4.0])
+
+
+def test_a_place_in_two_units_is_no_two_bodies():
+    dataset = bsp_gp.Dataset.from_frames(pucks("x_m", "y_m", "x_px", "y_px"))
+    assert len(dataset.scenes[0].names) == 1
+
+
 def test_odd_names_are_named():
     dataset = bsp_gp.Dataset.from_frames(pucks("P1", "P2", "Q1", "Q2"), columns=NAMED,
                                          units=CM, properties=MASSES)  # fmt: skip
