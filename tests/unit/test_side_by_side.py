@@ -51,7 +51,7 @@ def test_bodies_whose_letters_name_units_are_bodies(letters):
 
 
 def test_a_place_in_two_units_is_no_two_bodies():
-    dataset = bsp_gp.Dataset.from_frames(pucks("x_m", "y_m", "x_px", "y_px"))
+    dataset = bsp_gp.Dataset.from_frames(pucks("x_m", "y_m", "x_px", "y_px", takes=1))
     assert len(dataset.scenes[0].names) == 1
 
 
