@@ -50,9 +50,9 @@ def test_bodies_whose_letters_name_units_are_bodies(letters):
     np.testing.assert_allclose(places[2], [2.0, 4.0])
 
 
-def test_a_place_in_two_units_is_no_two_bodies():
-    dataset = bsp_gp.Dataset.from_frames(pucks("x_m", "y_m", "x_px", "y_px", takes=1))
-    assert len(dataset.scenes[0].names) == 1
+def test_letters_of_lengths_are_units_and_no_bodies():
+    dataset = bsp_gp.Dataset.from_frames(pucks("x_m", "y_m", "x_s", "y_s", takes=1))
+    assert dataset.scenes[0].names == ("object",)
 
 
 def test_odd_names_are_named():
