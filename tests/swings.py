@@ -32,8 +32,8 @@ def bob(*args, units=("m", "s"), **kwargs):
     )
 
 
-def double_bob(ratio=1.5, n=240, dt=1 / 60, sigma=1e-3, begin=(0.9, -0.5)):
-    """Two bobs, B on a rod of 0.25 m to A, A on one of 0.15 m to (0.03, -0.02); masses untold."""
+def double_bob(ratio=1.5, n=240, dt=1 / 60, sigma=1e-3, begin=(0.9, -0.5), entities=None):
+    """Two bobs: B, of `ratio` masses of A, on a rod of 0.25 m to it, A on one of 0.15 m to a point."""
     one, other, t = 0.15, 0.25, np.arange(n) * dt
 
     def rate(_, z):
@@ -54,5 +54,5 @@ def double_bob(ratio=1.5, n=240, dt=1 / 60, sigma=1e-3, begin=(0.9, -0.5)):
         for name, (x, y) in places.items()
     ]  # fmt: skip
     return bsp_gp.Dataset.from_frames(
-        pd.concat(frames), units={"length": "m", "time": "s"}, up="y"
+        pd.concat(frames), entities, units={"length": "m", "time": "s", "mass": "kg"}, up="y"
     )

@@ -25,6 +25,16 @@ def are_units(dataset):
     return all(e.mass == 1.0 for s in dataset.scenes for e in s.entities if not e.is_static)
 
 
+def is_of_no_mass(note):
+    """Whether a note says that no mass is known."""
+    return note == NO_MASS or note.startswith(ONE_KILOGRAM)
+
+
+def are_assumed(dataset):
+    """Whether nobody gave masses, and those of a data set stand for them."""
+    return any(map(is_of_no_mass, dataset.notes))
+
+
 def without_masses(dataset):
     """The note on a data set without any mass."""
     if not dataset.units.is_calibrated(KILOGRAM):

@@ -12,7 +12,7 @@ from bsp_gp.loop.stored import formula_of
 from bsp_gp.loop.told import retold
 from bsp_gp.physics.engine.owners import fitted_properties
 from bsp_gp.physics.force import needs_masses, split_linear
-from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM
+from bsp_gp.physics.masses import NO_MASS, ONE_KILOGRAM, is_of_no_mass
 from bsp_gp.report.codes import (
     CAUSES,
     LEFT_OUT,
@@ -171,7 +171,7 @@ def _notes(report):
             )
     is_joined = any(getattr(part, "is_coupling", False) for part in report.law.frame)
     for note in report.dataset["notes"]:
-        is_of_masses = note == NO_MASS or note.startswith(ONE_KILOGRAM)
+        is_of_masses = is_of_no_mass(note)
         if note.startswith(ONE_KILOGRAM):
             note = CHECK + note if needs_masses(report.law) else NO_MASS
         yield note

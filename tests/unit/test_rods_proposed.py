@@ -201,6 +201,13 @@ def test_bobs_that_hang_from_one_another_are_held_at_once_and_tell_their_masses(
     assert (told["L1"], told["L2"]) == pytest.approx((0.15, 0.25), abs=2e-3)
 
 
+def test_masses_that_were_given_are_kept_by_rods():
+    entities = pd.DataFrame({"entity": ["A", "B"], "mass": [1.0, 1.0]})
+    data = double_bob(ratio=1.0, entities=entities)
+    (hung,) = [p for p in Rods().propose(looked_at(data, [])).proposals if p.code == "rods"]
+    assert not any(p.name.startswith("mass") for p in hung.hypothesis.parameters)
+
+
 def test_rods_of_two_bodies_on_points_of_their_own_are_no_chain():
     t = np.arange(200) / 60
     frames = [

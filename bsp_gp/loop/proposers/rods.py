@@ -22,7 +22,7 @@ from bsp_gp.loop.proposers.swings import LEAST_DRAG, decay_of, usual_mass
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.constrained import constraints_of
 from bsp_gp.physics.force import ForceLaw, Term, fresh_name, numbered
-from bsp_gp.physics.masses import are_units
+from bsp_gp.physics.masses import are_assumed
 
 MISFIT = 9.0
 """Mean square of what the law leaves, in the same, from which bodies may be held."""
@@ -165,7 +165,7 @@ def _hung(view, chain, n_tried):
     bodies = list(dict.fromkeys(n for kept in chain for n in kept.pair if n and kept.pair[1]))
     first = chain[0].pair[0]
     lighter = [name for name in bodies if name != first]
-    if are_units(dataset):
+    if are_assumed(dataset):
         masses = _masses(dataset, lighter)
         hypothesis, dataset = hypothesis + masses, masses.seen(dataset)
     taken, n_free = set(law.names), 0
