@@ -33,7 +33,7 @@ def bob(*args, units=("m", "s"), **kwargs):
 
 
 def double_bob(ratio=1.5, n=240, dt=1 / 60, sigma=1e-3, begin=(0.9, -0.5), entities=None):
-    """Two bobs: B, of `ratio` masses of A, on a rod of 0.25 m to it, A on one of 0.15 m to a point."""
+    """Two bobs: B, `ratio` times as heavy as A, on a rod of 0.25 m to it, A on one of 0.15 m."""
     one, other, t = 0.15, 0.25, np.arange(n) * dt
 
     def rate(_, z):
