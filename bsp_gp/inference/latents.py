@@ -284,6 +284,13 @@ def declared_latents(dataset, scenes=None):
     return Latents(tuple(items))
 
 
+def latents_of_bodies(names, column, prior):
+    """One number for each of some bodies, in whichever scenes they are."""
+    return Latents(
+        tuple(Latent(f"{column}[{name}]", column, prior, (("", name),)) for name in names)
+    )
+
+
 def latents_of(scenes, column, prior, *, entities=None, share="entity"):
     """Declare a property unknown in code.
 

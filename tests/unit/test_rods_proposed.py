@@ -201,6 +201,16 @@ def test_bobs_that_hang_from_one_another_are_held_at_once_and_tell_their_masses(
     assert (told["L1"], told["L2"]) == pytest.approx((0.15, 0.25), abs=2e-3)
 
 
+def test_masses_told_by_one_recording_are_those_of_another():
+    """Beyond the recordings that were fitted the mass was one."""
+    data = with_usable_masses(double_bob(ratio=3.0, n=120))
+    (hung,) = [p for p in Rods().propose(looked_at(data, [])).proposals if p.code == "rods"]
+    (part,) = [part for part in hung.hypothesis.parts if "mass[B]" in getattr(part, "names", ())]
+    other = replace(data.scenes[0], name="another")
+    (scene,) = part.at({"mass[B]": 3.0}).filled((other,))
+    assert [e.mass for e in scene.entities] == [1.0, 3.0]
+
+
 def test_masses_that_were_given_are_kept_by_rods():
     entities = pd.DataFrame({"entity": ["A", "B"], "mass": [1.0, 1.0]})
     data = double_bob(ratio=1.0, entities=entities)

@@ -8,10 +8,10 @@ import numpy as np
 from bsp_gp.errors import LawError
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.parts.constraints import read_constraint
-from bsp_gp.fitting.parts.latents import unknown_properties
+from bsp_gp.fitting.parts.latents import Properties
 from bsp_gp.fitting.periodogram import swing_of
 from bsp_gp.fitting.probes import probe_terms
-from bsp_gp.inference.latents import Latent, Latents
+from bsp_gp.inference.latents import latents_of_bodies
 from bsp_gp.inference.priors import Prior
 from bsp_gp.language.formula import Call, Constant, Input
 from bsp_gp.language.inputs import STATE_INPUTS
@@ -21,7 +21,7 @@ from bsp_gp.loop.proposers.steady import alone, together, tracks_of
 from bsp_gp.loop.proposers.swings import LEAST_DRAG, decay_of, usual_mass
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.engine.constrained import constraints_of
-from bsp_gp.physics.force import ForceLaw, Term, fresh_name, numbered
+from bsp_gp.physics.force import ForceLaw, Term, fresh_name, fresh_names, numbered
 from bsp_gp.physics.masses import are_assumed
 
 MISFIT = 9.0
@@ -162,24 +162,24 @@ def _hung(view, chain, n_tried):
     if sum(gain for gain, _ in seen) < (MISFIT - 1) * sum(n for _, n in seen):
         return None
     hypothesis, dataset = view.hypothesis, view.dataset
-    bodies = list(dict.fromkeys(n for kept in chain for n in kept.pair if n and kept.pair[1]))
-    first = chain[0].pair[0]
-    lighter = [name for name in bodies if name != first]
     if are_assumed(dataset):
-        masses = _masses(dataset, lighter)
+        first = chain[0].pair[0]
+        masses = _masses(dataset, dict.fromkeys(n for k in chain[1:] for n in k.pair if n != first))
         hypothesis, dataset = hypothesis + masses, masses.seen(dataset)
-    taken, n_free = set(law.names), 0
+    taken = set(law.names)
     try:
         for kept in chain:
             names = [numbered(stem, taken) for stem in kept.stems]
             taken |= set(names)
-            n_free += len(names)
             hypothesis += _part(dataset, kept, names)
     except LawError:
         return None
-    weight, names = _weight(law, dataset, chain[0].way)
-    hypothesis = _under(hypothesis, weight, {})
-    n_free += len(names) + len(lighter)
+    types = dataset_types(dataset)
+    mass = Input("m_i", types["m_i"])
+    weight = [Term(Call("mul", Call("mul", Constant(name), mass), along), "field")
+              for name, along, _ in _pulls(law, types, chain[0].way)]  # fmt: skip
+    hypothesis = _under(hypothesis, tuple(weight), {})
+    n_free = len(hypothesis.parameters) - len(view.hypothesis.parameters)
     return Proposal(
         "rods", "; ".join(map(_text, chain)), hypothesis,
         -view.criteria.cause_nats * (len(chain) + 1) - math.log(n_tried),
@@ -192,23 +192,8 @@ def _hung(view, chain, n_tried):
 def _masses(dataset, names):
     """Unknown masses of bodies, in that of another one."""
     prior = Prior("log_uniform", 1 / HEAVIER, HEAVIER)
-    items = tuple(
-        Latent(f"mass[{name}]", "mass", prior,
-               tuple((scene.name, name) for scene in dataset.scenes if name in scene.names))
-        for name in names
-    )  # fmt: skip
-    return unknown_properties(dataset, Latents(items), dataset.scenes)
-
-
-def _weight(law, dataset, way):
-    """Terms of a weight along the axes of a way, and the names of their constants."""
-    types, terms, names = dataset_types(dataset), [], []
-    for axis, along in enumerate(way):
-        if abs(along) > LEANING * max(map(abs, way)):
-            names.append(numbered("c", {*law.names, *names}))
-            push = Call("mul", Constant(names[-1]), Input("m_i", types["m_i"]))
-            terms.append(Term(Call("mul", push, coordinate_of(types, axis)[1]), "field"))
-    return tuple(terms), names
+    unit = dataset.property_units.get("mass")
+    return Properties(latents_of_bodies(names, "mass", prior), (("mass", unit),))
 
 
 def _under(hypothesis, terms, starts):
@@ -228,23 +213,25 @@ def _pushes(view, kept):
     """
     if view.fit.law.terms or not (kept.is_sole and kept.way):
         return (), (), {}
-    law, terms, most = view.fit.law, [], max(map(abs, kept.way))
     mass, rate = usual_mass(view.dataset.scenes, kept.pair[0]), 0.0
-    if kept.code == "rod" and most > 0:
+    if kept.code == "rod" and any(kept.way):
         rate = swing_of(view.fit, body=kept.pair[0])
-    pull, starts = mass * rate**2 * kept.values[-1] / (math.hypot(*kept.way) or 1.0), {}
-    types = dataset_types(view.dataset)
-    for axis, along in enumerate(kept.way):
-        if abs(along) > LEANING * most:
-            name = fresh_name(law, "c")
-            push = Call("mul", Constant(name), coordinate_of(types, axis)[1])
-            terms.append(Term(push, "field"))
-            starts |= {name: pull * along} if rate else {}
-            law = law.plus(terms[-1], {name: math.nan})
-    name = fresh_name(law, "c")
+    pull = mass * rate**2 * kept.values[-1] / (math.hypot(*kept.way) or 1.0)
+    pulls = _pulls(view.fit.law, dataset_types(view.dataset), kept.way)
+    terms = [Term(Call("mul", Constant(name), along), "field") for name, along, _ in pulls]
+    starts = {name: pull * part for name, _, part in pulls} if rate else {}
+    name = numbered("c", {*view.fit.law.names, *(one for one, _, _ in pulls)})
     drag = Call("mul", Constant(name), Input("v_i", STATE_INPUTS["v_i"]))
     starts |= {name: -mass * max(decay_of(view.fit), LEAST_DRAG * rate)} if rate else {}
     return tuple(terms), (Term(drag, "field"),), starts
+
+
+def _pulls(law, types, way):
+    """Of a weight: a constant, a direction and the part of a way along it, for each of its axes."""
+    most = max(map(abs, way))
+    axes = [axis for axis, along in enumerate(way) if abs(along) > LEANING * most]
+    names = fresh_names(law, axes, "c")
+    return [(names[axis], coordinate_of(types, axis)[1], way[axis]) for axis in axes]
 
 
 def beside_probes(fit, hypothesis):

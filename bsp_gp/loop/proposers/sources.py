@@ -12,7 +12,7 @@ from bsp_gp.data.ephemeris import GRAVITATIONAL_CONSTANT
 from bsp_gp.fitting.hypothesis import Forces
 from bsp_gp.fitting.parts.latents import Properties
 from bsp_gp.fitting.tangent import as_pair
-from bsp_gp.inference.latents import Latent, Latents
+from bsp_gp.inference.latents import latents_of_bodies
 from bsp_gp.inference.priors import Prior
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.render import to_text
@@ -190,9 +190,8 @@ def _proposal(view, text, unit, names, strengths, rank, height):
     column = _column(view)
     spread = WIDE * float(np.sqrt(np.mean(np.square(strengths))))
     prior = Prior("truncated_normal", mean=0.0, sd=spread)
-    items = tuple(Latent(f"{column}[{name}]", column, prior, (("", name),)) for name in names)
     values = tuple(map(float, strengths))
-    part = Properties(Latents(items), ((column, unit),), values)
+    part = Properties(latents_of_bodies(names, column, prior), ((column, unit),), values)
     seen = part.seen(view.dataset)
     types = dataset_types(replace(seen, property_units={**seen.property_units, column: unit}))
     formula = parse_formula(text, types, units=view.dataset.units)
@@ -210,9 +209,8 @@ def _gravity(view, names, strengths, rank, height):
     masses = np.maximum(masses, LITTLE * least)
     spread = WIDE * float(np.sqrt(np.mean(np.square(masses))))
     prior = Prior("truncated_normal", low=least, mean=0.0, sd=spread)
-    items = tuple(Latent(f"mass[{name}]", "mass", prior, (("", name),)) for name in names)
-    values = tuple(map(float, masses))
-    part = Properties(Latents(items), (("mass", Unit.of(kg=1)),), values, is_absolute=True)
+    values, latents = tuple(map(float, masses)), latents_of_bodies(names, "mass", prior)
+    part = Properties(latents, (("mass", Unit.of(kg=1)),), values, is_absolute=True)
     formula = parse_formula(ATTRACTION, TYPES)
     return Proposal(
         "gravity", to_text(formula), view.hypothesis + part + Forces(

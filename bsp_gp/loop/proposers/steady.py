@@ -106,7 +106,7 @@ def alone(name, tracks, up=""):
     text = f"norm(p_i - ({point})) = {{{len(centre)}}}"
     values = (*centre.tolist(), radius)
     rod = Kept("rod", text, (name, ""), (*stems, "L"), values, level, _is_uneven(tracks),
-                way=tuple((middle - centre).tolist()))  # fmt: skip
+               way=tuple((middle - centre).tolist()))  # fmt: skip
     is_better = curve is not None and curve.spread < CLOSER * spread
     return curve if is_better else rod
 
