@@ -42,8 +42,10 @@ from bsp_gp.search.choice import Searching, searches_for
 from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.compare import certified
 from bsp_gp.search.constants import fit_constants
+from bsp_gp.search.genetic import Genetic
 from bsp_gp.search.inner import ZOOMS, Form, InnerSearch, read_forms
 from bsp_gp.search.objective import Objective
+from bsp_gp.search.shapes import ShapeSearch, read_ways
 
 TOOLS = ("bsp_gp", "pyoperon", "gplearn", "pysindy")
 FORMS = ("table", "motion")
@@ -51,7 +53,7 @@ BUDGET, QUICK_BUDGET = 60.0, 10.0
 """Processor seconds of a run."""
 EXPLAINED = 1e-12
 """Part of the sum of squares below which a law explains the data."""
-LEVELS, DRAWN = 8, 1500
+LEVELS, DRAWN = 8, 15_000
 """Of derivations of laws without inner constants; laws that are drawn."""
 MOST_FORMS, MOST_LEADS = 8, 3
 """Forms whose constants are fitted, and of these such beside which others are sought."""
@@ -84,7 +86,7 @@ def ours(task, form, seed, seconds):
     started = time.process_time()
     known, *others = (build_regression(scenes, sigma=1e-3) for scenes in parts)
     tried = Tried(known, dataset_of(parts[0]), np.random.default_rng((seed, 5)))
-    for stage in (tried.enumerated, tried.inside, tried.drawn, tried.beside, tried.sums):
+    for stage in (tried.enumerated, tried.inside, tried.shaped, tried.beside, tried.sums):
         stage()
         if tried.is_explained or time.process_time() - started > seconds:
             break
@@ -116,6 +118,8 @@ class Tried:
         target = self.objective.y
         self.forms = [form for form in read_forms(grammar, dataset, (), set(types))
                       if form.term.kind == "pair"]  # fmt: skip
+        self.shapes = grammar.shapes
+        self.ways = read_ways(grammar, dataset, (), types, set(types))
         self.search = InnerSearch(
             known, target, np.zeros((len(target), 0)), lambda columns: columns,
             np.ones(2, dtype=bool), grammar.inside["ranges"], types,
@@ -164,6 +168,18 @@ class Tried:
         for scan in self.leads:
             self.take(law_of([(self.search, scan)]))
         self.seeds += [Call("mul", Constant("c1"), scan.form.term.formula) for scan in self.leads]
+
+    def shaped(self):
+        """Shapes of one variable, bred on profiles, simple ones first."""
+        ways = [way for way in self.ways if way.term.kind == "pair"]
+        shapes = ShapeSearch(self.shapes, self.search, ways, DRAWN, chance=0.0)
+        found = shapes.run(lambda levels: Genetic(max_levels=levels), self.rng)
+        for shape in found:
+            term = shape.form.term
+            term = Term(Call("mul", Constant("c1"), term.formula), term.kind)
+            self.take(ForceLaw((term,), {"c1": 1.0, **shape.at}))
+            if self.is_explained:
+                return
 
     def beside(self):
         """Two of them at once."""

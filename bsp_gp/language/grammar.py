@@ -132,6 +132,20 @@ class Grammar:
         return read_grammar(source)
 
     @functools.cached_property
+    def shapes(self):
+        """The grammar of shapes, functions of a number ``x``; None if there is none."""
+        table = self.source.get("shapes", {})
+        if "rules" not in table:
+            return None
+        names = dict.fromkeys(self.inside.get("ranges", {}), "scalar *")
+        return read_grammar({
+            "grammar": {"name": f"{self.name}, shapes", "start": "Shape", "kind": "field"},
+            "types": dict.fromkeys(table["rules"], "scalar 1"),
+            "inputs": {"x": "scalar 1", "z": "scalar 1"}, "constants": names,
+            "rules": table["rules"],
+        })  # fmt: skip
+
+    @functools.cached_property
     def rules_of(self):
         """Nonterminal -> tuple of its enabled rules."""
         table = {nonterminal: [] for nonterminal in self.types}
@@ -332,6 +346,7 @@ class _Reader:
     tables = {
         "grammar", "types", "inputs", "constants", "rules", "operators", "each_property",
         "each_vector", "each_velocity", "each_signed", "each_angle", "common", "inside", "beyond",
+        "shapes",
     }  # fmt: skip
 
     def __init__(self, source):

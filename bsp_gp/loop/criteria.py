@@ -16,7 +16,7 @@ REASONS = (
     "not_placed",
     "swamped", "slight", "at_bound", "much_left", "more_left", "laboratory", "poorly_foreseen",
     "smooth_kicks", "open_powers", "another_power", "odd_power", "season",
-    "alias", "passage", "undetermined",
+    "alias", "passage", "undetermined", "bred",
 )  # fmt: skip
 """Why a round ended as it did; "superseded": adopted, and taken back by backward removal;
 "strength_varies": adopted as a description, since its constant is not the same everywhere;
@@ -38,14 +38,14 @@ changes smoothly is as likely; "open_powers": several forces of which the data d
 half, beside a steady push; "season": orbits of which one has the period of the Earth's year or day;
 "alias": or one that looks alike to who looks once a day;
 "passage": a velocity that jumps in the sky; "undetermined": each of its strengths may be nothing
-(several forces of which the data tell the sum)."""
+(several forces of which the data tell the sum); "bred": a function that was bred on these data."""
 LEFT_OUT = ("rows", "proposers", "fits", "held_out", "removal", "intervals", "errors")
 """What a time limit can leave undone."""
 STOP_REASONS = (
     "nothing_left", "nothing_adopted", "most_rounds", "many_causes", "time_is_up", "failed",
 )  # fmt: skip
 CAUSES = (
-    "law", "law_by_body", "law_by_scene", "law_by_source", "gravity", "exponent", "number",
+    "law", "shape", "law_by_body", "law_by_scene", "law_by_source", "gravity", "exponent", "number",
     "constant_per_body", "constant_per_scene", "period", "ripple", "pulsing", "growing",
     "delayed", "wind", "belt", "scale", "clock", "tilt", "zero", "pivot", "slant", "drift",
     "offset", "origin", "length", "delay", "exposure", "lens", "decentred", "zoom", "shutter",

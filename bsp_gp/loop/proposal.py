@@ -19,6 +19,9 @@ FAULTS = (EvaluationError, FitError, np.linalg.LinAlgError, FloatingPointError)
 NEW = 2
 """How much a term of a series adds that some textbook has: a power of a coordinate, or what acts
 on one side of a place; that of one which none has is greater."""
+UNIFORM = frozenset(("e_x", "e_y", "e_z", "up", "down", "m_i"))
+"""What a uniform push is made of."""
+"""What steady pushes depend on."""
 PATIENT = 5
 """Times the usual effort that a fit may take which is not given up so soon."""
 

@@ -18,7 +18,7 @@ from bsp_gp.fitting.student import log_likelihood
 from bsp_gp.loop.decide import SWAMPED
 from bsp_gp.loop.evidence import log_evidence
 from bsp_gp.loop.forms import without_open_kicks
-from bsp_gp.loop.proposal import FAULTS
+from bsp_gp.loop.proposal import FAULTS, UNIFORM
 from bsp_gp.loop.rivals import Explained
 from bsp_gp.loop.slight import LITTLE, size_left
 from bsp_gp.loop.table import SAME_MINIMUM, HeldOut, Row, held_out_gain
@@ -42,8 +42,6 @@ NEARLY_NOTHING, CLEARLY_LESS = 1e-3, 0.7
 place of which another comes that leaves less than so much of it."""
 MOST_LEFT = 0.3
 """Part of the reduced chi-squared that may be left by what comes before all other causes."""
-UNIFORM = frozenset(("e_x", "e_y", "e_z", "up", "down", "m_i"))
-"""What a uniform push is made of."""
 
 
 class Rows:

@@ -11,13 +11,12 @@ from bsp_gp.loop.clock import TimeIsUp
 from bsp_gp.loop.decide import SWAMPED
 from bsp_gp.loop.foresight import is_foreseen
 from bsp_gp.loop.forms import led_by, with_one_strength, without_weakest
-from bsp_gp.loop.proposal import both_of
+from bsp_gp.loop.proposal import UNIFORM, both_of
 from bsp_gp.loop.queue import REACH, Queue, is_misread
 from bsp_gp.loop.rows import (
     CLEARLY_LESS,
     EXPLAINED,
     FAR_BEHIND,
-    UNIFORM,
     Rows,
     extent_of,
     fit_of,

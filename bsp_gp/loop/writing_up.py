@@ -45,7 +45,7 @@ DESCRIBES = {
     *UNLISTED.values(), "held_out_disagrees", "many_causes", "own_period", "few_periods",
     "likelier_refused", "noise_likelier", "at_bound", "much_left", "more_left", "laboratory",
     "poorly_foreseen", "smooth_kicks", "open_powers", "another_power", "odd_power", "season",
-    "alias", "passage", "undetermined",
+    "alias", "passage", "undetermined", "bred",
 }  # fmt: skip
 """Why a law only describes the tracks."""
 MUCH, SURE_SNR = 0.3, 100.0
@@ -143,11 +143,18 @@ def _own_doubt(done, effect, dataset):
     is_series = len({e["term"] for e in effect.exponents if is_open(e)}) > 1
     if is_series or len({e["term"] for e in effect.exponents if not e["is_told"]}) > MOST_UNTOLD:
         return "open_powers"
+    if best.code == "shape" and any(map(has_inside, done.proposals[best.id].formulas)):
+        return "bred"
     if any(map(_is_another, effect.exponents)):
         return "another_power"
     if effect.law and _is_undetermined(effect, done.fits[best.id].law):
         return "undetermined"
     return "odd_power" if best.n_pushes and has_odd_power(done.fits[best.id]) else ""
+
+
+def has_inside(formula):
+    """Whether a term has constants beside its strength."""
+    return bool(split_linear(formula)[1].constants)
 
 
 def _is_undetermined(effect, law):

@@ -9,6 +9,7 @@ CAUSES = {
     "belt": "a ground that moves under the bodies (a belt)",
     "constant_per_body": "a constant for each body",
     "constant_per_scene": "a constant for each scene",
+    "shape": "a force that is a function of one variable, bred on these data",
     "law_by_body": "a force of another strength for each body",
     "law_by_scene": "a force of another strength in each scene",
     "law_by_source": "a force between bodies, each of which acts by a strength of its own",
@@ -99,6 +100,7 @@ REASONS = {
     "open_powers": "several forces of which these data do not tell the powers follow any curve",
     "smooth_kicks": "kicks so slight that many rows pass until one shows: a force that changes "
     "smoothly from place to place, or in time, moves the bodies as well",
+    "bred": "its form is no listed one: it was bred on these data, and others may do as well",
     "another_power": "a power in it is surely another than is written: the force has another form",
     "poorly_foreseen": "it describes the tracks that it was found in, but predictions of what was "
     "held out are no better with it, though so few rows do not refuse it for sure",

@@ -26,13 +26,15 @@ MOST_ROWS = 4
 _POWERS = {1: "linear", 2: "quadratic", 3: "cubic"}
 
 
-def describe(formula, value=None, other="the other body", exponents=()):
+def describe(formula, value=None, other="the other body", exponents=(), is_bred=False):
     """Name a term in plain words: "drag, linear in speed", "pull to the other body, as distance⁻²".
 
     `other` is the name of the body that acts. Of `exponents`, as an effect has them, those whose
     neighbours the data do not exclude are told with their interval in place of the textbook's:
-    "drag, speed to the 1.5 (1.2 to 1.8)".
+    "drag, speed to the 1.5 (1.2 to 1.8)". A function that was bred has no name of a form.
     """
+    if is_bred and split_linear(formula)[1].constants:
+        return _bred_phrase(formula, other)
     plain, words = _without_time(formula)
     if words:
         return ", ".join([describe(plain, value, other, exponents), *words])
@@ -233,6 +235,27 @@ def _inner_phrase(direction, formula, powers, value=None, is_loose=False):
     if of_bodies:
         words.append("times " + " ".join(map(to_text, of_bodies)))
     return ", ".join(dict.fromkeys([f"force {along}{_scaling(powers)}", *words]))
+
+
+def _bred_phrase(formula, other):
+    """Name a force by what its strength is a function of: "force along x, a function of x"."""
+    above, below = factors(split_linear(formula)[1])
+    (direction,) = (to_text(f) for f in above if f.type.shape == "vector")
+    inside = " ".join(to_text(f) for f in (*above, *below) if f.constants)
+    of = next(word for mark, word in _VARIABLES if re.search(mark, inside))
+    of = re.search(of, inside)[0][0] if of == _AXIS else of
+    way = direction.removeprefix("normalize(").removesuffix(")")
+    way = way[2:] if way.startswith("e_") else f"the {_DIRECTIONS.get(way, way)}"
+    return f"force along {way}, a function of {of} of no listed form".replace(
+        "the other body", other
+    )
+
+
+_AXIS = r"[xyz]_i"
+_VARIABLES = (
+    (r"norm\(p_i - p_j\)", "distance"), (r"norm\(v_i\)", "speed"), (_AXIS, _AXIS), ("", "time"),
+)  # fmt: skip
+"""What a function that was bred is one of, by what stands in it."""
 
 
 def _inner_word(text):

@@ -275,7 +275,8 @@ def _phrases(effect, law, other):
     values = [next((added[n] for n in t.formula.constants if n in added), None) for t in terms]
     own = [[e for e in effect.exponents if e["term"] == to_text(t.formula)] for t in terms]
     every = zip(terms, values, own, strict=True)
-    told = [describe(t.formula, v, other, exponents) + _strengths(t.formula)
+    is_bred = effect.code == "shape"
+    told = [describe(t.formula, v, other, exponents, is_bred) + _strengths(t.formula)
             for t, v, exponents in every]  # fmt: skip
     # Components of one spin are called alike.
     return tuple(dict.fromkeys(along_one_line(told, values))), len(terms)
@@ -314,7 +315,8 @@ def _name(effect, parts, other):
         values = [c.value for c in strengths if is_number(c.value)]
         is_one_way = bool(values) and (min(values) > 0 or max(values) < 0)
         value = values[0] if is_one_way or len(values) == 1 else None
-        phrase = describe(effect.formula, value, other, effect.exponents)
+        is_bred = effect.code == "shape"
+        phrase = describe(effect.formula, value, other, effect.exponents, is_bred)
         phrase += period(effect) if effect.code == "period" else ""
         own = OWN_STRENGTHS.get(effect.code)
         phrase = f"{phrase}, {own}" if own else phrase
@@ -360,10 +362,12 @@ def _called(row, dataset):
     if row["code"] in ("number", "exponent"):
         return change(row["code"], row["law"])
     values = (row.get("model") or {}).get("values", {})
+    if row["code"] == "shape":
+        return _in_words(row["law"], dataset, values, is_bred=True)
     return CAUSES.get(row["code"]) or _in_words(row["law"], dataset, values) or row["law"]
 
 
-def _in_words(text, dataset, values=None):
+def _in_words(text, dataset, values=None, is_bred=False):
     """The forces of a law that was not taken up in plain words; "" where it is no sum of forces."""
     law, values = formula_of(text, dataset), values or {}
     if law is None:
@@ -372,7 +376,7 @@ def _in_words(text, dataset, values=None):
     for term in summands(law):
         name, _ = split_linear(term)
         sizes.append(values.get(name))
-        told.append(describe(term, sizes[-1], other))
+        told.append(describe(term, sizes[-1], other, is_bred=is_bred))
     told = list(dict.fromkeys(along_one_line(told, sizes)))
     return " and ".join(filter(None, [", ".join(told[:-1]), told[-1]]))
 

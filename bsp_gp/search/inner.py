@@ -20,6 +20,7 @@ from bsp_gp.language.parse import parse_formula
 from bsp_gp.physics.bodies import dataset_types, law_inputs
 from bsp_gp.physics.evaluation import Settling
 from bsp_gp.physics.force import Term, kind_of, split_linear
+from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.recognition import CACHE_BYTES, BoundedCache
 
 N_POINTS, N_ACROSS, N_PLACES, N_LINE = 12, 8, 300, 40
@@ -91,6 +92,15 @@ class Axis:
     def values(self, coordinates):
         """The constant at coordinates."""
         return np.exp(coordinates) if self.is_log else coordinates
+
+    def coordinate(self, value):
+        """The coordinate of a value of the constant."""
+        return np.log(value) if self.is_log else value
+
+    @property
+    def spacing(self):
+        """The distance of neighbours on a grid."""
+        return self.line(N_POINTS)[N_POINTS // 2, 1]
 
     def line(self, count):
         """Coordinates that are even under the prior, and their spacing, shape (count, 2)."""
@@ -272,6 +282,15 @@ class InnerSearch:
         other.target, other._scanned = target, {}
         return other
 
+    def besides(self, columns):
+        """The same beside further moments (n, c)."""
+        q, own = orthonormal(columns, len(self.target)), self.beside
+        other = copy(self)
+        other.beside = lambda some: (rest := own(some)) - q @ (q.T @ rest)
+        other.target, other.draws = (some - q @ (q.T @ some) for some in (self.target, self.draws))
+        other._scanned = {}
+        return other
+
     def of_part(self, regression, rows, beside):
         """The same of a part of the regression, whose moments stand at `rows` among all."""
         other = copy(self)
@@ -291,11 +310,16 @@ class InnerSearch:
             names += [PLACE + axis for axis in self.axes]
         elif len(self.axes) == 1 and any(name.startswith(PLACE) for name in names):
             return None  # a plane is a place in one dimension
-        for name in names:
-            if name not in self._known:
-                self._known[name] = self._axis(name)
-        found = tuple(self._known[name] for name in names)
+        found = tuple(map(self.axis, names))
         return None if None in found else found
+
+    def axis(self, name):
+        """The range of a constant, which may be numbered; None where it has none on these data."""
+        if name not in self._known:
+            is_own = name in self._texts or name.startswith(PLACE)
+            found = self._axis(name if is_own else name.rstrip("0123456789"))
+            self._known[name] = found and replace(found, name=name)
+        return self._known[name]
 
     def _axis(self, name):
         if name.startswith(PLACE):
@@ -306,7 +330,7 @@ class InnerSearch:
         if ".." in text:
             return Axis(name, *map(float, text.split("..")))
         formula = parse_formula(text.removeprefix(ABOUT), self._types)
-        found = self._values(self.placed(formula))
+        found = self.values_of(self.placed(formula))
         if text.startswith(ABOUT) and len(found) and np.ptp(found):
             return Axis(name, 2 * found.min() - found.max(), 2 * found.max() - found.min())
         if not isinstance(formula, Call) or formula.operator not in ("norm", "abs"):
@@ -316,9 +340,9 @@ class InnerSearch:
             return None
         return Axis(name, *np.log([found.min() / BEYOND, found.max() * BEYOND]), is_log=True)
 
-    def _values(self, formula):
+    def values_of(self, formula, kind=None):
         """Values of a scalar where something is seen."""
-        kind, found = kind_of(formula), []
+        kind, found = kind or kind_of(formula), []
         for batch in self.batches:
             lookup = law_inputs(kind, batch.bodies, batch.positions, batch.velocities, batch.times)
             shown = batch.valid.any(axis=-1)
@@ -535,6 +559,25 @@ class InnerSearch:
             value = Settling(term, batch.bodies)(force, (count, *batch.target.shape))
             moments = batch.whiten(np.moveaxis(value, 0, 3))
             parts.append(np.moveaxis(moments, 3, -1).reshape(-1, count))
+        return np.concatenate(parts)
+
+    def moments_of_functions(self, term, variable, functions):
+        """Moments of a term times each of some functions of a scalar, (n, C).
+
+        Parameters
+        ----------
+        functions : callable
+            Values of any shape -> the same shape with one more axis (C,).
+        """
+        term, variable, parts = self._term(term), self.placed(variable), []
+        for index, batch in enumerate(self.batches):
+            lookup, cache = self._lookup(index, term), self._cache(index, term)
+            force = evaluate(term.acceleration_formula, lookup, {}, cache)
+            value = np.nan_to_num(functions(evaluate(variable, lookup, {}, cache)))
+            value = np.moveaxis(value, -1, 0)[..., None] * force
+            whole = Settling(term, batch.bodies)(value, (len(value), *batch.target.shape))
+            moments = batch.whiten(np.moveaxis(whole, 0, 3))
+            parts.append(np.moveaxis(moments, 3, -1).reshape(-1, len(value)))
         return np.concatenate(parts)
 
     def _lookup(self, index, term):

@@ -31,6 +31,7 @@ from bsp_gp.loop.proposers.reference import References
 from bsp_gp.loop.proposers.regimes import Regimes
 from bsp_gp.loop.proposers.ripples import Ripples
 from bsp_gp.loop.proposers.rods import Rods
+from bsp_gp.loop.proposers.shapes import Shapes
 from bsp_gp.loop.proposers.sources import Sources
 from bsp_gp.loop.proposers.spun import Spun
 from bsp_gp.loop.proposers.swings import Swings
@@ -56,10 +57,10 @@ def standard(grammar, dataset, **settings):
     laws = Laws(grammar, dataset, **settings)
     inside = Inside(laws, dataset)
     return [
-        laws, inside, Polynomials(laws), Regimes(), Spun(), Blown(), Swings(inside),
-        ByOwner(laws), OwnLaws(laws), Declared(), Varying(), Growing(), Delayed(), Winds(),
-        Periods(), Ripples(), Pulsing(), Alternating(laws, dataset), Frames(), Inclinations(),
-        References(), Sources(), Hidden(), Centres(), Aslant(), Companions(), Kicks(), Contacts(),
-        Walls(), Rods(), Anchors(), Measurement(), LateLogs(), Defects(), Hands(), Noise(),
-        Unfollowed(laws),
+        laws, inside, Shapes(laws, dataset), Polynomials(laws), Regimes(), Spun(), Blown(),
+        Swings(inside), ByOwner(laws), OwnLaws(laws), Declared(), Varying(), Growing(), Delayed(),
+        Winds(), Periods(), Ripples(), Pulsing(), Alternating(laws, dataset), Frames(),
+        Inclinations(), References(), Sources(), Hidden(), Centres(), Aslant(), Companions(),
+        Kicks(), Contacts(), Walls(), Rods(), Anchors(), Measurement(), LateLogs(), Defects(),
+        Hands(), Noise(), Unfollowed(laws),
     ]  # fmt: skip

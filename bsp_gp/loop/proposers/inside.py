@@ -27,7 +27,7 @@ from bsp_gp.search.inner import PLACE, ZOOMS, Form, InnerSearch, Scan, read_form
 from bsp_gp.search.subsets import best_subsets
 from bsp_gp.units import Unit
 
-__all__ = ["Inside", "form_at", "inner_search"]
+__all__ = ["Inside", "form_at", "inner_search", "is_noise", "scan_at", "shown_of", "sums"]
 
 MOST = 8
 """Forms that are proposed."""
@@ -93,7 +93,7 @@ class Inside:
         # Where laws without inner constants leave no more than noise, few forms are tried; where no
         # force is declared, all are.
         left = view.left @ view.left - (view.explained if view.fit.law.terms else 0.0)
-        is_noise = stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha
+        leaves_noise = stats.chi2.sf(left, max(view.n_left, 1)) > view.criteria.alpha
         drawn = [Form(Term(split_linear(c.formula)[1], c.kind), c.complexity) for c in view.drawn]
         parts, scans = {"field": search, "pair": search}, []
         if view.n_pairs > MOST_PAIRS:
@@ -109,7 +109,7 @@ class Inside:
                 is_partial = True
                 break
             axes = search.axes_of(form)
-            if axes and not (is_noise and len(axes) > 1):
+            if axes and not (leaves_noise and len(axes) > 1):
                 found = parts[form.term.kind].scan(form)
                 scans += [found] if found.n_points else []
         if not scans:
@@ -135,17 +135,18 @@ class Inside:
         closer = closer[:MOST]
         least = (1 + ROUNDING) * view.explained + 1.0  # what its constants gain by chance alone
         every = [_proposal(view, search, s) for s in closer if s.best > least]
-        if not is_noise:
-            is_enough = any(_is_noise(view, s.best, 2) for s in closer)
+        if not leaves_noise:
+            is_enough = any(is_noise(view, s.best, 2) for s in closer)
             # Of forms of which one is the other's special case both lead: the best of every size.
             sizes = {len(s.axes): s for s in reversed(closer)}
             leads = dict.fromkeys((*sizes.values(), *closer[:MOST_LEADS]))
             leads = leads if is_enough else (*leads, None)
             best = [f for f in view.leading if not f.constants and kind_of(f) == "pair"]
             best = [Call("mul", Constant("c1"), form) for form in best[:MOST_LEADING]]
-            laws = _shown(view, dict.fromkeys((*self.common, *best)))
+            laws = shown_of(view, dict.fromkeys((*self.common, *best)))
             alone = cache(lambda: waves_alone(view))
-            every += [p for lead in leads for p in _sums(view, search, lead, laws, alone)]
+            every += [p for lead in leads for p in sums(view, search, lead, laws, alone)]
+        view.covered = max([view.explained, *(p.gain for p in every)])
         least = view.promised - 2 * view.criteria.tie_nats  # what is less likely tells nothing new
         proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)
         count = sum(s.n_points for s in scans)
@@ -163,19 +164,20 @@ def _of_angle(form):
     return replace(form, term=Term(formula, form.term.kind))
 
 
-def _sums(view, search, scan, shown, alone):
+def sums(view, search, scan, shown, alone):
     """A form and one or two laws of textbooks beside it, where it leaves more than noise.
 
-    Where all of these leave more, a push with a period joins them; without a form only then.
+    Where all of these leave more, a push with a period joins them, if `alone` tells of such pushes;
+    without a form only then.
     The inner constants move with them, as far as moments are linear in these.
     """
-    if scan is not None and _is_noise(view, scan.best, 2):
+    if scan is not None and is_noise(view, scan.best, 2):
         return
     own = view.left[:, None][:, :0] if scan is None else search.linearised(scan)
     laws, columns = shown
     every = np.concatenate([own, columns], axis=1)
     wave, gain = None, view.gain_of(every)
-    if not _is_noise(view, gain, every.shape[1]):
+    if alone is not None and not is_noise(view, gain, every.shape[1]):
         wave = wave_beside(view, every, alone())
     for lead in [None] * (scan is not None) + [wave] * (wave is not None):
         waves = own[:, :0] if lead is None else lead.columns
@@ -190,13 +192,13 @@ def _sums(view, search, scan, shown, alone):
             yield _sum(view, search, scan, own, own_laws, columns[:, members], lead)
 
 
-def _is_noise(view, gain, rank):
+def is_noise(view, gain, rank=0):
     """Whether what is left beside a gain is no more than noise."""
     left = view.left @ view.left - gain
     return stats.chi2.sf(left, max(view.n_left - rank, 1)) > view.criteria.alpha
 
 
-def _shown(view, laws):
+def shown_of(view, laws):
     """Laws that the law cannot take up, and their moments beside it, (n, c).
 
     All bodies have what they name.
@@ -262,12 +264,17 @@ def inner_search(view, grammar, draws):
 
 
 def form_at(view, search, form, at):
-    """The proposal of a form whose inner constants are these, in the order of its axes (k,)."""
-    none = np.zeros(0)
-    axes = search.axes_of(form)
-    scan = Scan(form, axes, 1, 0.0, none, 0.0, 0.0, np.asarray(at, dtype=float), none, ())
-    scan = search.anew(scan)
-    return _proposal(view, search, replace(scan, gain=scan.best))
+    """The proposal of a form whose inner constants are these, by name."""
+    return _proposal(view, search, scan_at(search, form, at))
+
+
+def scan_at(search, form, at):
+    """The scan of a form whose inner constants are these, by name."""
+    none, axes = np.zeros(0), search.axes_of(form)
+    coordinates = np.array([axis.coordinate(at[axis.name]) for axis in axes], dtype=float)
+    spacing = np.array([axis.spacing for axis in axes])
+    scan = search.anew(Scan(form, axes, 1, 0.0, none, 0.0, 0.0, coordinates, spacing, ()))
+    return replace(scan, gain=scan.best)
 
 
 def _proposal(view, search, scan):

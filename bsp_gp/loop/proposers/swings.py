@@ -111,11 +111,11 @@ def _about(view, search, form):
         ends = [(np.nanmin(track, axis=0) + np.nanmax(track, axis=0)) / 2 for track in tracks]
         middle = np.median(ends, axis=0)
     size = _radian(view.dataset) if _is_sine(form) else SHARE * _extent(view.dataset)
-    at = [
-        middle["xyz".index(axis.name[-1])] if axis.name.startswith((PLACE, "h_"))
-        else math.log(size)
+    at = {
+        axis.name: middle["xyz".index(axis.name[-1])] if axis.name.startswith((PLACE, "h_"))
+        else size
         for axis in search.axes_of(form)
-    ]  # fmt: skip
+    }  # fmt: skip
     return form_at(view, search, form, at)
 
 
