@@ -60,8 +60,8 @@ class View:
     explained, promised : float
         Chi-squared that the likeliest law without inner constants explains, and its promise, once
         they are known.
-    covered : float
-        Chi-squared that the best of all forms, and of sums of them, explains, once it is known.
+    foremost : float
+        The greatest promise of all forms that are listed, and of sums of them, once it is known.
     search_rng : numpy.random.Generator
         For searches that draw.
     drawn : tuple of Candidate
@@ -78,7 +78,7 @@ class View:
         self._fit, self.hypothesis, self._dataset = fit, hypothesis, dataset
         self.dataset = hypothesis.seen(dataset)
         self.seconds_left = None
-        self.tick, self.explained, self.covered, self.promised = None, 0.0, 0.0, -np.inf
+        self.tick, self.explained, self.promised, self.foremost = None, 0.0, -np.inf, -np.inf
         self.noise_findings, self.drawn, self.leading = (), (), {}
         self._rows_rng, self._moments_rng = rng.spawn(2)
         (self.search_rng,) = self._moments_rng.spawn(1)

@@ -25,6 +25,8 @@ from bsp_gp.language.formula import (
     Input,
     Number,
     evaluate,
+    factors,
+    product,
     substitute,
     walk,
 )
@@ -47,9 +49,9 @@ STARTS = {1: 24, 2: 64, 3: 128}
 MOST_CONSTANTS = 5
 POLISHED, N_POLISHED = 0.25, 3
 """Part of new shapes that is fitted, the best; and points from which each is."""
-IDLE, WORTH = 8, 0.1
-"""Generations without a better shape after which a search ends, and what is better: less by such a
-part of what is left."""
+IDLE, WORTH = 5, 0.1
+"""Generations without a better shape after which a search ends, and by how much of what is left a
+shape is to be better."""
 STEPS = 12
 """Of a fit at the most."""
 SETTLED = 1e-10
@@ -174,13 +176,13 @@ class ShapeSearch:
         strategy : callable
             ``strategy(max_levels)`` is a strategy of `run_search`.
         least : float
-            What a way must be able to explain for shapes to be bred in it.
+            What a way must be able to explain, beside chance, for shapes to be bred in it.
         progress : callable, optional
             Told the number of every generation; True ends the search.
         """
         found, most = [], least
         for profile in self._profiles():
-            if profile.bound <= most:
+            if profile.bound - self.chance * profile.rank <= most:
                 break  # no shape of it explains more, nor of those that come after
             objective = ShapeObjective(self.grammar, profile, self.inner.axis, self.chance)
             run_search(
@@ -211,16 +213,16 @@ class ShapeSearch:
 
 
 class _Patience:
-    """Ends a search that gets no further."""
+    """Ends a search that gets no further, or no simpler."""
 
     def __init__(self, progress):
-        self.progress, self.left, self.since = progress, math.inf, 0
+        self.progress, self.cost, self.since = progress, math.inf, 0
 
     def __call__(self, step, objective):
-        left = objective.left
-        if left < (1 - WORTH) * self.left:
-            self.left, self.since = left, step
-        is_over = objective.is_exhausted or step - self.since >= IDLE
+        least = max(objective.chance, WORTH * objective.left)
+        if objective.cost < self.cost - least:
+            self.cost, self.since = objective.cost, step
+        is_over = objective.is_exact or step - self.since >= IDLE
         return is_over or bool(self.progress and self.progress(step))
 
 
@@ -304,7 +306,7 @@ class ShapeObjective:
     axis : callable
         ``axis(name)`` is the range of a constant inside.
     chance : float
-        What each number of the profile gains where there is but noise; 0 where there is none.
+        What a number gains where there is but noise, chi-squared; 0 where there is none.
 
     Attributes
     ----------
@@ -328,14 +330,19 @@ class ShapeObjective:
         self._most = 0.0
 
     @property
-    def is_exhausted(self):
-        """Whether a shape explains what all of them may, up to what they gain by chance."""
-        return self.left <= max(FLAT * self.profile.bound, self.chance * self.profile.rank)
+    def is_exact(self):
+        """Whether a shape explains all that any may."""
+        return self.left <= FLAT * self.profile.bound
 
     @property
     def left(self):
         """What the best shape leaves of what all of them may explain."""
         return self.profile.bound - self._most
+
+    @property
+    def cost(self):
+        """The least of any shape, nats."""
+        return min((score.cost for _, score in self.best.values()), default=math.inf)
 
     def score(self, expressions):
         """Scores of expressions, in order."""
@@ -392,7 +399,10 @@ class ShapeObjective:
         """The cheapest shapes, and the best of every complexity."""
         ranked = sorted(self.best.values(), key=lambda e: (e[1].cost, e[1].complexity))[:most]
         chosen = dict.fromkeys(e for e, _ in (*ranked, *self.front()[-most:]))
-        return [self.candidate(expression) for expression in chosen]
+        distinct = {}
+        for shape in map(self.candidate, chosen):
+            distinct.setdefault(shape.form.term.formula, shape)
+        return list(distinct.values())
 
 
 class _Fit:
@@ -541,17 +551,44 @@ def tidied(formula):
         return formula
     operator, args = formula.operator, tuple(map(tidied, formula.args))
     if operator == "pow" and isinstance(args[1], Number):
-        if args[1].value == 0.0:
-            return Number(1.0)
-        if args[1].value in POWERS:
-            for each in POWERS[args[1].value]:
-                args = (Call(each, args[0]),)
-            return args[0]
+        return _raised(args[0], args[1].value) if args[1].value else Number(1.0)
     if operator in ("add", "sub"):
         return _added(operator, *args)
-    if operator == "mul" and Number(1.0) in args:
-        return args[1] if args[0] == Number(1.0) else args[0]
-    return Call(operator, *args)
+    return _multiplied(args) if operator == "mul" else Call(operator, *args)
+
+
+def _multiplied(args):
+    """A product in which every base stands once, and no number."""
+    powers = {}
+    for part in (each for arg in args for each in factors(arg)[0]):
+        base, power = _power_of(part)
+        powers[base] = powers.get(base, 0.0) + power
+    parts = [_raised(base, power) for base, power in powers.items() if power]
+    parts = sorted((p for p in parts if not isinstance(p, Number)), key=to_text)
+    return product(parts or [Number(1.0)])
+
+
+def _power_of(formula):
+    """Base and power of a part of a product; a sign is left to the strength."""
+    power = 1.0
+    while isinstance(formula, Call):
+        if formula.operator in ("inverse", "square", "sqrt"):
+            power *= {"inverse": -1.0, "square": 2.0, "sqrt": 0.5}[formula.operator]
+        elif formula.operator == "pow" and isinstance(formula.args[1], Number):
+            power *= formula.args[1].value
+        elif formula.operator != "neg":
+            break
+        formula = formula.args[0]
+    return formula, power
+
+
+def _raised(base, power):
+    """A base to a power that is a number."""
+    if power not in POWERS:
+        return Call("pow", base, Number(power))
+    for operator in POWERS[power]:
+        base = Call(operator, base)
+    return base
 
 
 def _added(operator, one, other):

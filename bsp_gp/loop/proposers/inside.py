@@ -27,7 +27,7 @@ from bsp_gp.search.inner import PLACE, ZOOMS, Form, InnerSearch, Scan, read_form
 from bsp_gp.search.subsets import best_subsets
 from bsp_gp.units import Unit
 
-__all__ = ["Inside", "form_at", "inner_search", "is_noise", "scan_at", "shown_of", "sums"]
+__all__ = ["Inside", "form_at", "inner_search", "scan_at", "shown_of", "sums"]
 
 MOST = 8
 """Forms that are proposed."""
@@ -136,7 +136,7 @@ class Inside:
         least = (1 + ROUNDING) * view.explained + 1.0  # what its constants gain by chance alone
         every = [_proposal(view, search, s) for s in closer if s.best > least]
         if not leaves_noise:
-            is_enough = any(is_noise(view, s.best, 2) for s in closer)
+            is_enough = any(_is_noise(view, s.best, 2) for s in closer)
             # Of forms of which one is the other's special case both lead: the best of every size.
             sizes = {len(s.axes): s for s in reversed(closer)}
             leads = dict.fromkeys((*sizes.values(), *closer[:MOST_LEADS]))
@@ -146,7 +146,7 @@ class Inside:
             laws = shown_of(view, dict.fromkeys((*self.common, *best)))
             alone = cache(lambda: waves_alone(view))
             every += [p for lead in leads for p in sums(view, search, lead, laws, alone)]
-        view.covered = max([view.explained, *(p.gain for p in every)])
+        view.foremost = max([view.foremost, *(p.promise for p in every)])
         least = view.promised - 2 * view.criteria.tie_nats  # what is less likely tells nothing new
         proposals = sorted((p for p in every if p.promise > least), key=lambda p: -p.promise)
         count = sum(s.n_points for s in scans)
@@ -171,13 +171,13 @@ def sums(view, search, scan, shown, alone):
     without a form only then.
     The inner constants move with them, as far as moments are linear in these.
     """
-    if scan is not None and is_noise(view, scan.best, 2):
+    if scan is not None and _is_noise(view, scan.best, 2):
         return
     own = view.left[:, None][:, :0] if scan is None else search.linearised(scan)
     laws, columns = shown
     every = np.concatenate([own, columns], axis=1)
     wave, gain = None, view.gain_of(every)
-    if alone is not None and not is_noise(view, gain, every.shape[1]):
+    if alone is not None and not _is_noise(view, gain, every.shape[1]):
         wave = wave_beside(view, every, alone())
     for lead in [None] * (scan is not None) + [wave] * (wave is not None):
         waves = own[:, :0] if lead is None else lead.columns
@@ -192,7 +192,7 @@ def sums(view, search, scan, shown, alone):
             yield _sum(view, search, scan, own, own_laws, columns[:, members], lead)
 
 
-def is_noise(view, gain, rank=0):
+def _is_noise(view, gain, rank):
     """Whether what is left beside a gain is no more than noise."""
     left = view.left @ view.left - gain
     return stats.chi2.sf(left, max(view.n_left - rank, 1)) > view.criteria.alpha

@@ -152,6 +152,7 @@ class Laws:
             view.explained = found[0].gain
             view.promised = 0.5 * found[0].gain - found[0].complexity
         proposals.sort(key=lambda p: -p.promise)
+        view.foremost = proposals[0].promise if proposals else -np.inf
         return Family(
             self.name, tuple(proposals), best, 1 if proposals else 0, null,
             "\n".join(certificates), n_tried=n_tried,

@@ -10,7 +10,6 @@ from bsp_gp.loop.proposal import UNIFORM, Family
 from bsp_gp.loop.proposers.inside import (
     form_at,
     inner_search,
-    is_noise,
     scan_at,
     shown_of,
     sums,
@@ -42,30 +41,31 @@ class Shapes:
         self.ways = read_ways(laws.grammar, dataset, laws.properties, types, laws.available)
 
     def propose(self, view):
-        """The family of shapes, where one may explain more than all that is listed."""
-        if not self.ways or is_noise(view, view.covered):
-            return Family(self.name, null=np.zeros(view.moment_draws.shape[1]))
+        """The family of shapes, where one may be likelier than all that is listed."""
         search = inner_search(view, self.grammar, view.moment_draws)
-        shown = shown_of(view, self.common)
+        shown = shown_of(view, self.common) if self.ways else ((), np.zeros((len(view.left), 0)))
         steady = [k for k, law in enumerate(shown[0]) if set(law.inputs) <= UNIFORM]
         pushes, clock = shown[1][:, steady], _Clock(view)
-        bred, proposals = [], []
+        bred, proposals, nats = [], [], math.log(max(len(self.ways), 1))
         for beside in (pushes[:, :0], pushes)[: 1 + bool(steady)]:
-            most = max([view.covered, *(p.gain for p in proposals)])
-            if clock.was_over or is_noise(view, most):
+            if clock.was_over:
                 break
-            least = most + 2 * view.criteria.class_nats
-            bred.append(self._bred(view, search, beside, least, clock))
+            foremost = max([view.foremost, 0.0, *(p.promise for p in proposals)])
+            is_sum = beside.shape[1] > 0
+            least = foremost + nats + (1 + is_sum) * view.criteria.cause_nats
+            bred.append(self._bred(view, search, beside, 2 * least, clock))
             for shape in bred[-1].found:
-                nats = shape.nats + math.log(len(self.ways))
-                scan = scan_at(search, replace(shape.form, nats=nats), shape.at)
-                ones = sums(view, search, scan, shown, None) if beside.size else ()
-                ones = (form_at(view, search, scan.form, shape.at), *ones)
-                proposals += [replace(p, code="shape") for p in ones if p.gain > least]
+                scan = scan_at(search, replace(shape.form, nats=shape.nats + nats), shape.at)
+                ones = [form_at(view, search, scan.form, shape.at)]
+                ones += sums(view, search, scan, shown, None) if is_sum else ()
+                proposals += [replace(p, code="shape") for p in ones]
+        least = max(view.foremost, 0.0) - view.criteria.class_nats
+        proposals = sorted((p for p in proposals if p.promise > least), key=lambda p: -p.promise)
+        null = [np.zeros(view.moment_draws.shape[1]), *(own.null for own in bred)]
+        gain = max((p.gain for p in proposals), default=0.0)
         return Family(
-            self.name, tuple(sorted(proposals, key=lambda p: -p.promise)),
-            max((p.gain for p in proposals), default=0.0), 1 if proposals else 0,
-            np.max([own.null for own in bred], axis=0), "\n".join(own.text() for own in bred),
+            self.name, tuple(proposals), gain, 1 if proposals else 0, np.max(null, axis=0),
+            "\n".join(own.text() for own in bred if own.n_tried),
             n_tried=sum(own.n_tried for own in bred), is_partial=clock.was_over,
         )  # fmt: skip
 
