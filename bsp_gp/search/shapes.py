@@ -386,10 +386,14 @@ class ShapeObjective:
             self.best[number] = expression, score
 
     def candidate(self, expression):
-        """A shape that was scored, with simple numbers where these do as well."""
+        """A shape that was scored, with simple numbers where these do as well.
+
+        One that is a power alone keeps its exponent; where it is a number there is no constant.
+        """
         fit, score = self._fits[expression], self._scores[expression]
         allowed = self.chance * math.log(self.profile.rank) + self.profile.bound - fit.gain
-        return replace(fit.simplified(allowed).shape(), nats=score.complexity)
+        shape = fit.simplified(allowed).shape()
+        return replace(shape if shape.at else fit.shape(), nats=score.complexity)
 
     def front(self):
         """Best distinct shapes per complexity."""
@@ -401,7 +405,8 @@ class ShapeObjective:
         chosen = dict.fromkeys(e for e, _ in (*ranked, *self.front()[-most:]))
         distinct = {}
         for shape in map(self.candidate, chosen):
-            distinct.setdefault(shape.form.term.formula, shape)
+            if shape.at:  # others are laws without constants inside
+                distinct.setdefault(shape.form.term.formula, shape)
         return list(distinct.values())
 
 
