@@ -69,6 +69,7 @@ LEVELS = 8
 """Of derivations of shapes."""
 X, SIZE = Input("x", Type("scalar", DIMENSIONLESS)), Input("z", Type("scalar", DIMENSIONLESS))
 """What a shape is a function of, and the size of it where it takes both signs."""
+SIGN = Call("sign", X)
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,14 +387,10 @@ class ShapeObjective:
             self.best[number] = expression, score
 
     def candidate(self, expression):
-        """A shape that was scored, with simple numbers where these do as well.
-
-        One that is a power alone keeps its exponent; where it is a number there is no constant.
-        """
+        """A shape that was scored, with simple numbers where these do as well."""
         fit, score = self._fits[expression], self._scores[expression]
         allowed = self.chance * math.log(self.profile.rank) + self.profile.bound - fit.gain
-        shape = fit.simplified(allowed).shape()
-        return replace(shape if shape.at else fit.shape(), nats=score.complexity)
+        return replace(fit.simplified(allowed).shape(), nats=score.complexity)
 
     def front(self):
         """Best distinct shapes per complexity."""
@@ -405,8 +402,7 @@ class ShapeObjective:
         chosen = dict.fromkeys(e for e, _ in (*ranked, *self.front()[-most:]))
         distinct = {}
         for shape in map(self.candidate, chosen):
-            if shape.at:  # others are laws without constants inside
-                distinct.setdefault(shape.form.term.formula, shape)
+            distinct.setdefault(shape.form.term.formula, shape)
         return list(distinct.values())
 
 
@@ -533,21 +529,32 @@ class _Fit:
         return np.broadcast_to(value, (len(points), len(self.profile.knots)))
 
     def shape(self):
-        """The force with this shape; without a scale where that is but a strength."""
+        """The force with this shape; one that is a power has no scale, which is but a strength."""
         at = {name: float(axis.values(c))
               for (name, axis), c in zip(self.axes.items(), self.at, strict=True)}  # fmt: skip
-        way = self.profile.way
-        is_scaled = not self._is_flat(list(self.axes).index(way.scale))
-        if not is_scaled:
-            del at[way.scale]
-        return Shape(way.form(self.formula, is_scaled), at, self.gain)
+        way, formula = self.profile.way, tidied(self.formula)
+        power = _power_in(formula, at)
+        if power is None:
+            return Shape(way.form(formula), at, self.gain)
+        own = {name: value for name, value in at.items() if name == way.offset}
+        signed = [SIGN] if SIGN in factors(formula)[0] else []
+        base = SIZE if SIZE in walk(formula) else X
+        form = way.form(product([Call("pow", base, Constant("n1")), *signed]), is_scaled=False)
+        return Shape(form, {**own, "n1": power}, self.gain)
 
-    def _is_flat(self, k):
-        """Whether a constant makes no difference."""
-        points = np.repeat(self.at[None], 3, axis=0)
-        points[1:, k] = self.low[k], self.high[k]
-        gains = np.square(self.profile.unit(self.values(points)) @ self.profile.target)
-        return bool(np.ptp(gains) <= 1e-6 * gains[0])
+
+def _power_in(formula, at):
+    """The power of its variable that a shape is, but for its sign; None for all others."""
+    total = 0.0
+    for part in factors(formula)[0]:
+        base, power = _power_of(part)
+        if isinstance(base, Call) and base.operator == "pow" and base.args[1].constants:
+            power, base = power * at[base.args[1].name], base.args[0]
+        if base in (X, SIZE):
+            total += power
+        elif base != SIGN:
+            return None
+    return total
 
 
 def tidied(formula):
