@@ -552,7 +552,7 @@ def _power_in(formula, at):
             power, base = power * at[base.args[1].name], base.args[0]
         if base in (X, SIZE):
             total += power
-        elif base != SIGN:
+        elif base != SIGN and not isinstance(base, Number):
             return None
     return total
 
