@@ -14,7 +14,7 @@ from functools import cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.stats import qmc
+from scipy.stats import chi2, qmc
 
 from bsp_gp.errors import GrammarError
 from bsp_gp.language.expression import to_formula
@@ -47,6 +47,8 @@ FLAT = 1e-10
 STARTS = {1: 24, 2: 64, 3: 128}
 """Points at which a shape of so many constants is first scored; of more, as of three."""
 MOST_CONSTANTS = 5
+BY_CHANCE = 0.01
+"""Chance that a profile gains as much of mere noise as is taken to be noise."""
 POLISHED, N_POLISHED = 0.25, 3
 """Part of new shapes that is fitted, the best; and points from which each is."""
 IDLE, WORTH = 5, 0.1
@@ -177,13 +179,13 @@ class ShapeSearch:
         strategy : callable
             ``strategy(max_levels)`` is a strategy of `run_search`.
         least : float
-            What a way must be able to explain, beside chance, for shapes to be bred in it.
+            What a way must be able to explain, beside noise, for shapes to be bred in it.
         progress : callable, optional
             Told the number of every generation; True ends the search.
         """
         found, most = [], least
         for profile in self._profiles():
-            if profile.bound - self.chance * profile.rank <= most:
+            if profile.bound - self.chance * chi2.isf(BY_CHANCE, profile.rank) <= most:
                 break  # no shape of it explains more, nor of those that come after
             objective = ShapeObjective(self.grammar, profile, self.inner.axis, self.chance)
             run_search(

@@ -19,6 +19,10 @@ from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.search.shapes import ShapeSearch, read_ways
 
 
+LEAST_NATS = 8.0
+"""What the simplest shape costs that no listed form has: its rules, and a constant inside."""
+
+
 class Shapes:
     """Shapes of one variable, bred where forms that are listed leave more than noise.
 
@@ -52,7 +56,7 @@ class Shapes:
                 break
             foremost = max([view.foremost, 0.0, *(p.promise for p in proposals)])
             is_sum = beside.shape[1] > 0
-            least = foremost + nats + (1 + is_sum) * view.criteria.cause_nats
+            least = foremost + nats + LEAST_NATS + (1 + is_sum) * view.criteria.cause_nats
             bred.append(self._bred(view, search, beside, 2 * least, clock))
             for shape in bred[-1].found:
                 scan = scan_at(search, replace(shape.form, nats=shape.nats + nats), shape.at)
