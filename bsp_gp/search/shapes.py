@@ -58,7 +58,7 @@ STEPS = 12
 """Of a fit at the most."""
 SETTLED = 1e-10
 """Part of what is left by which a step must better it."""
-MOST_WAYS, MOST_SHAPES = 3, 6
+MOST_WAYS, MOST_SHAPES = 2, 6
 """Ways in which shapes are bred, the best; and shapes of each that are handed on."""
 DIGITS = 9
 """Of a gain: shapes that explain as much are one."""

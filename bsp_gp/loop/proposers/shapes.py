@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from scipy import stats
 
 from bsp_gp.loop.clock import TimeIsUp
 from bsp_gp.loop.proposal import UNIFORM, Family
@@ -17,7 +18,6 @@ from bsp_gp.loop.proposers.inside import (
 from bsp_gp.loop.view import MOST_PAIRS, MOST_WEIGHTS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.search.shapes import ShapeSearch, read_ways
-
 
 LEAST_NATS = 8.0
 """What the simplest shape costs that no listed form has: its rules, and a constant inside."""
@@ -46,29 +46,35 @@ class Shapes:
 
     def propose(self, view):
         """The family of shapes, where one may be likelier than all that is listed."""
+        null, size = np.zeros(view.moment_draws.shape[1]), float(view.left @ view.left)
+        nats = math.log(max(len(self.ways), 1)) + LEAST_NATS + view.criteria.cause_nats
+        most = 0.5 * (size - stats.chi2.isf(1 - view.criteria.alpha, max(view.n_left, 1)))
+        if not self.ways or most < max(view.foremost, 0.0) + nats:
+            return Family(self.name, null=null)  # if one left noise alone it would be no likelier
         search = inner_search(view, self.grammar, view.moment_draws)
-        shown = shown_of(view, self.common) if self.ways else ((), np.zeros((len(view.left), 0)))
+        shown = shown_of(view, self.common)
         steady = [k for k, law in enumerate(shown[0]) if set(law.inputs) <= UNIFORM]
         pushes, clock = shown[1][:, steady], _Clock(view)
-        bred, proposals, nats = [], [], math.log(max(len(self.ways), 1))
+        bred, proposals = [], []
         for beside in (pushes[:, :0], pushes)[: 1 + bool(steady)]:
             if clock.was_over:
                 break
-            foremost = max([view.foremost, 0.0, *(p.promise for p in proposals)])
             is_sum = beside.shape[1] > 0
-            least = foremost + nats + LEAST_NATS + (1 + is_sum) * view.criteria.cause_nats
+            least = max([view.foremost, 0.0, *(p.promise for p in proposals)]) + nats
+            least += is_sum * view.criteria.cause_nats
             bred.append(self._bred(view, search, beside, 2 * least, clock))
             for shape in bred[-1].found:
-                scan = scan_at(search, replace(shape.form, nats=shape.nats + nats), shape.at)
+                odd = shape.nats + math.log(len(self.ways))
+                scan = scan_at(search, replace(shape.form, nats=odd), shape.at)
                 ones = [form_at(view, search, scan.form, shape.at)]
                 ones += sums(view, search, scan, shown, None) if is_sum else ()
                 proposals += [replace(p, code="shape") for p in ones]
         least = max(view.foremost, 0.0) - view.criteria.class_nats
         proposals = sorted((p for p in proposals if p.promise > least), key=lambda p: -p.promise)
-        null = [np.zeros(view.moment_draws.shape[1]), *(own.null for own in bred)]
         gain = max((p.gain for p in proposals), default=0.0)
         return Family(
-            self.name, tuple(proposals), gain, 1 if proposals else 0, np.max(null, axis=0),
+            self.name, tuple(proposals), gain, 1 if proposals else 0,
+            np.max([null, *(own.null for own in bred)], axis=0),
             "\n".join(own.text() for own in bred if own.n_tried),
             n_tried=sum(own.n_tried for own in bred), is_partial=clock.was_over,
         )  # fmt: skip
