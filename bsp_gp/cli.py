@@ -512,6 +512,11 @@ def _check_grammar(grammar, kinds):
         print(f"forms with constants inside, scored by every search: {count}, such as {forms[0]}")
         ranges = "; ".join(f"{k}: {v}" for k, v in grammar.inside.get("ranges", {}).items())
         print(f"ranges of constants inside: {ranges}")
+    if grammar.shapes is not None:
+        one = grammar.source["shapes"]["of"][0]
+        count = _count_text(grammar.shapes.count("Shape", CHECKED_LEVELS))
+        print(f"shapes, bred where these leave more than noise: {count} functions of at most "
+              f"{CHECKED_LEVELS} levels, such as of {one['variable']}")  # fmt: skip
 
 
 def _show_grammar(grammar):

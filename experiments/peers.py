@@ -34,16 +34,15 @@ from bsp_gp.errors import EvaluationError
 from bsp_gp.language.formula import Call, Constant, rename_constants, walk
 from bsp_gp.language.grammar import load_grammar
 from bsp_gp.language.render import to_text
-from bsp_gp.loop.proposers.laws import PLACED
 from bsp_gp.physics.bodies import dataset_types
-from bsp_gp.physics.force import ForceLaw, Term, split_linear
+from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.physics.likelihood import build_regression
-from bsp_gp.search.choice import Searching, searches_for
 from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.compare import certified
 from bsp_gp.search.constants import fit_constants
+from bsp_gp.search.exhaustive import search_exhaustive
 from bsp_gp.search.genetic import Genetic
-from bsp_gp.search.inner import ZOOMS, Form, InnerSearch, read_forms
+from bsp_gp.search.inner import ZOOMS, InnerSearch, read_forms
 from bsp_gp.search.objective import Objective
 from bsp_gp.search.shapes import ShapeSearch, read_ways
 
@@ -53,14 +52,14 @@ BUDGET, QUICK_BUDGET = 60.0, 10.0
 """Processor seconds of a run."""
 EXPLAINED = 1e-12
 """Part of the sum of squares below which a law explains the data."""
-LEVELS, DRAWN = 8, 15_000
-"""Of derivations of laws without inner constants; laws that are drawn."""
+LEVELS, BRED = 8, 15_000
+"""Of derivations of laws without inner constants; shapes that are bred in each way."""
 MOST_FORMS, MOST_LEADS = 8, 3
 """Forms whose constants are fitted, and of these such beside which others are sought."""
 COLOURS = {"bsp_gp": "#222222", "pyoperon": "#0072b2", "gplearn": "#d55e00", "pysindy": "#009e73"}
 CANNOT = {
-    "bsp_gp": "functions that neither its forms with constants inside nor its rules for drawn "
-              "laws can say",
+    "bsp_gp": "functions that neither its forms with constants inside nor its rules for shapes "
+              "of one variable can say",
     "pyoperon": "sums over pairs, vectors and units: here a Python callback sums the pairs, "
                 "constants are then mutated, and fitted in the final tree only",
     "gplearn": "sums over pairs, vectors and units: here a metric sums the pairs; constants are "
@@ -112,7 +111,6 @@ class Tried:
         types = dataset_types(dataset)
         grammar = load_grammar("physics")
         self.grammar, self.missing = grammar.masked(set(types), 2)
-        self.free, _ = grammar.beyond.masked({*types, *PLACED}, 2)
         self.known, self.rng, self.best = known, rng, (None, np.inf)
         self.objective = Objective(known, self.grammar, "pair")
         target = self.objective.y
@@ -124,18 +122,7 @@ class Tried:
             known, target, np.zeros((len(target), 0)), lambda columns: columns,
             np.ones(2, dtype=bool), grammar.inside["ranges"], types,
         )  # fmt: skip
-        searches = searches_for("auto", self.grammar, ("pair",), LEVELS)
-        self.searching = Searching(searches, self.grammar, DRAWN, self.missing, self.free)
-        self.leads, self.seeds = [], []
-
-    def searched(self, name):
-        """Laws that a search finds."""
-        result, _ = self.searching.run(
-            name, self.known, "pair", self.rng, target=self.objective.y, nuisance=None,
-            null=np.zeros((len(self.objective.y), 0)), max_ties=1, progress=None,
-            inner=self.search, known=self.seeds,
-        )  # fmt: skip
-        return sorted(result.candidates, key=lambda c: -c.gain)
+        self.leads = []
 
     @property
     def is_explained(self):
@@ -152,9 +139,10 @@ class Tried:
 
     def enumerated(self):
         """All products of the grammar, with their certificate."""
-        found = self.searched("exhaustive")[:MOST_FORMS]
-        self.take(ForceLaw((Term(found[0].formula, "pair"),), found[0].constants))
-        self.seeds = [candidate.formula for candidate in found]
+        found = search_exhaustive(
+            self.known, self.grammar, kind="pair", max_levels=LEVELS, missing_inputs=self.missing
+        ).best  # fmt: skip
+        self.take(ForceLaw((Term(found.formula, "pair"),), found.constants))
 
     def sums(self):
         """Sums of laws without inner constants."""
@@ -167,13 +155,12 @@ class Tried:
         self.leads = self.scanned(self.search)
         for scan in self.leads:
             self.take(law_of([(self.search, scan)]))
-        self.seeds += [Call("mul", Constant("c1"), scan.form.term.formula) for scan in self.leads]
 
     def shaped(self):
         """Shapes of one variable, bred on profiles, simple ones first."""
         ways = [way for way in self.ways if way.term.kind == "pair"]
-        shapes = ShapeSearch(self.shapes, self.search, ways, DRAWN, chance=0.0)
-        found = shapes.run(lambda levels: Genetic(max_levels=levels), self.rng)
+        shapes = ShapeSearch(self.shapes, self.search, ways, BRED, chance=0.0)
+        found = shapes.run(lambda levels, seeds: Genetic(max_levels=levels, seeds=seeds), self.rng)
         for shape in found:
             term = shape.form.term
             term = Term(Call("mul", Constant("c1"), term.formula), term.kind)
@@ -198,24 +185,6 @@ class Tried:
             found = sorted(found, key=lambda scan: -scan.promise)[: max(80 >> zoom, 8)]
             found = [search.closer(scan, zoom) for scan in found]
         return sorted(found, key=lambda scan: -scan.promise)[:MOST_FORMS]
-
-    def drawn(self):
-        """Laws that cross-entropy and genetic programming draw."""
-        for name in ("genetic", "cross_entropy"):
-            if self.is_explained:
-                return
-            for candidate in self.searched(name)[:MOST_FORMS]:
-                if candidate.constants:
-                    term = Term(candidate.formula, "pair")
-                    self.take(ForceLaw((term,), candidate.constants))
-                    continue
-                rest = split_linear(candidate.formula)[1]
-                scan = self.search.scan(Form(Term(rest, "pair"), 0.0))
-                if scan is None:
-                    continue
-                for zoom in range(ZOOMS):
-                    scan = self.search.closer(scan, zoom)
-                self.take(law_of([(self.search, scan)]))
 
 
 def law_of(scans):

@@ -11,6 +11,8 @@ from bsp_gp.language.formula import Call
 from bsp_gp.language.grammar import Slot, fill
 
 _KNOWN: weakref.WeakValueDictionary = weakref.WeakValueDictionary()
+LARGEST = 20
+"""Rules of a derivation, up to which all are looked for."""
 _LOCK = threading.RLock()  # a collected tree may be made again while one is made
 
 
@@ -83,6 +85,45 @@ def derive(formula, grammar, nonterminal):
     those the one whose rules come first in the file.
     """
     return _Deriver(grammar).derive(formula, nonterminal)
+
+
+def smallest(grammar, nonterminal, most):
+    """All derivations up to the size of which there are no more than `most`, smallest first.
+
+    Parameters
+    ----------
+    most : int
+
+    Returns
+    -------
+    list of Expression
+    """
+    known: dict = {}
+
+    def of_size(name, size):
+        key = name, size
+        if key not in known:
+            known[key] = [
+                Expression(rule.index, children) for rule in grammar.rules_of[name]
+                for children in below(rule.children, size - 1)
+            ]  # fmt: skip
+        return known[key]
+
+    def below(names, size):
+        if not names:
+            return [()] if size == 0 else []
+        return [
+            (one, *others) for k in range(1, size - len(names) + 2)
+            for one in of_size(names[0], k) for others in below(names[1:], size - k)
+        ]  # fmt: skip
+
+    found: list = []
+    for size in range(1, LARGEST + 1):
+        some = of_size(nonterminal, size)
+        if len(found) + len(some) > most:
+            break
+        found += some
+    return found
 
 
 class _Deriver:

@@ -4,9 +4,9 @@ A file has ``[grammar]`` (name, start, kind), ``[types]`` (nonterminal = "shape 
 is open), ``[inputs]``, ``[constants]`` and ``[rules]`` (alternatives separated by ``|``, written
 as calls); optionally ``[operators]`` (which version of an operator a name means),
 ``[each_property]`` (rules that are repeated for every property column of a data set), ``[inside]``
-(forms with constants inside, and the ranges of these) and ``[beyond]`` (rules with such constants,
-for searches that draw laws). Rule bodies are read with `ast` from whitelisted nodes and never
-evaluated.
+(forms with constants inside, and the ranges of these), ``[beyond]`` (rules with such constants,
+for searches that draw laws) and ``[shapes]`` (functions of one variable, which are bred). Rule
+bodies are read with `ast` from whitelisted nodes and never evaluated.
 """
 
 import ast
@@ -133,9 +133,9 @@ class Grammar:
 
     @functools.cached_property
     def shapes(self):
-        """The grammar of shapes, functions of a number ``x``; None if there is none."""
+        """The grammar of shapes, functions of a number ``x`` and its size ``z``; None without."""
         table = self.source.get("shapes", {})
-        if "rules" not in table:
+        if not table:
             return None
         names = dict.fromkeys(self.inside.get("ranges", {}), "scalar *")
         return read_grammar({
@@ -374,6 +374,7 @@ class _Reader:
                 raise GrammarError("[common] needs laws, and may have planes, lists of texts")
         _check_inside(self.source.get("inside", {}))
         _check_beyond(self.source)
+        _check_shapes(self.source)
         rules = self.rules()
         grammar = Grammar(
             name=head.get("name", "unnamed"), start=MappingProxyType(self.start(head)),
@@ -382,10 +383,11 @@ class _Reader:
             fingerprint=_fingerprint(self.source), source=MappingProxyType(self.source),
         )  # fmt: skip
         self.check(grammar)
-        try:
-            _ = grammar.beyond
-        except GrammarError as error:
-            raise GrammarError(f"with its rules [beyond]: {error}") from None
+        for part in ("beyond", "shapes"):
+            try:
+                getattr(grammar, part)
+            except GrammarError as error:
+                raise GrammarError(f"with its rules [{part}]: {error}") from None
         return grammar
 
     def start(self, head):
@@ -534,6 +536,35 @@ def _check_beyond(source):
     )
     if not are_texts or not isinstance(source.get("constants", {}), dict):
         raise GrammarError("[beyond] has [beyond.types] and [beyond.rules], texts as in the others")
+
+
+def _check_shapes(source):
+    """Functions of one variable: of what, times what, with which constants; and their rules."""
+    table = source.get("shapes", {})
+    if not table:
+        return
+    if not isinstance(table, dict) or set(table) != {"of", "rules"}:
+        raise GrammarError("[shapes] has a list, of, and [shapes.rules]")
+    rules, of = table["rules"], table["of"]
+    are_texts = isinstance(rules, dict) and all(isinstance(text, str) for text in rules.values())
+    if not are_texts or "Shape" not in rules:
+        raise GrammarError("[shapes.rules] needs texts as [rules] does, among them Shape")
+    ranges = source.get("inside", {}).get("ranges", {})
+    for one in of if isinstance(of, list) else [None]:
+        is_good = isinstance(one, dict) and {"variable", "scale", "times"} <= set(one)
+        is_good = is_good and set(one) <= {"variable", "scale", "times", "offset"}
+        is_good = is_good and isinstance(one["variable"], str) and isinstance(one["times"], list)
+        if not is_good or not all(isinstance(text, str) for text in one["times"]):
+            raise GrammarError(
+                "[shapes] of: each needs a variable, a scale and a list times, and may have an "
+                f"offset; got {one!r}"
+            )
+        for name in (one["scale"], one.get("offset", one["scale"])):
+            if name not in ranges:
+                raise GrammarError(
+                    f"[shapes] of {one['variable']!r}: constant {name!r} has no range; give it "
+                    "under [inside.ranges]"
+                )
 
 
 def _alternatives(bodies):

@@ -506,8 +506,10 @@ def _scales(formula):
     """Units of the constants by which an argument is a pure number, by name."""
     if not isinstance(formula, Call):
         return {}
-    if formula.operator in ("neg", "square", "pow"):
+    if formula.operator in ("neg", "abs", "square", "sqrt", "inverse", "pow"):
         return _scales(formula.args[0])
+    if formula.operator in ("add", "sub"):  # less a phase
+        return {**_scales(formula.args[0]), **_scales(formula.args[1])}
     if formula.operator not in ("div", "mul"):
         return {}
     (one, other), is_ratio = formula.args, formula.operator == "div"

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import chi2, qmc
 
 from bsp_gp.errors import GrammarError
-from bsp_gp.language.expression import to_formula
+from bsp_gp.language.expression import smallest, to_formula
 from bsp_gp.language.formula import (
     Call,
     Constant,
@@ -49,13 +49,14 @@ STARTS = {1: 24, 2: 64, 3: 128}
 MOST_CONSTANTS = 5
 BY_CHANCE = 0.01
 """Chance that a profile gains as much of mere noise as is taken to be noise."""
-POLISHED, N_POLISHED = 0.25, 3
-"""Part of new shapes that is fitted, the best; and points from which each is."""
+POLISHED, N_POLISHED = ((0.25, 3), (0.25, 12)), 3
+"""Parts of new shapes that are fitted, the best, with steps at the most, and again of these; and
+points from which each is."""
+MOST_SIMPLE = 6000
+"""Shapes with which a search begins: all of so many rules, of which there are no more."""
 IDLE, WORTH = 5, 0.1
 """Generations without a better shape after which a search ends, and by how much of what is left a
 shape is to be better."""
-STEPS = 12
-"""Of a fit at the most."""
 SETTLED = 1e-10
 """Part of what is left by which a step must better it."""
 MOST_WAYS, MOST_SHAPES = 2, 6
@@ -139,8 +140,10 @@ def read_ways(grammar, dataset, properties, types, available):
         texts = [e for text in one["times"] for e in expanded(text, lists)]
         for _, variable in variables:
             for _, force in sayable(texts, types, dataset.units, available):
-                if force.type.shape != "vector":
-                    raise GrammarError(f"[shapes] {one['times']}: must be vectors")
+                if variable.type.shape != "scalar" or force.type.shape != "vector":
+                    raise GrammarError(
+                        f"[shapes] of {one['variable']!r}: must be a scalar, times vectors"
+                    )
                 if (variable, force) not in seen:
                     seen.add((variable, force))
                     kind = kind_of(Call("mul", variable, force))
@@ -160,7 +163,7 @@ class ShapeSearch:
         What is to be explained, on which data, and the ranges of constants.
     ways : sequence of Way
     budget : int
-        Shapes that are scored in each way.
+        Shapes that are scored in each way, beside all small ones.
     chance : float
         See `ShapeObjective`.
     """
@@ -177,7 +180,8 @@ class ShapeSearch:
         Parameters
         ----------
         strategy : callable
-            ``strategy(max_levels)`` is a strategy of `run_search`.
+            ``strategy(max_levels, seeds)`` is a strategy of `run_search` that sets out from seeds:
+            here from all small shapes.
         least : float
             What a way must be able to explain, beside noise, for shapes to be bred in it.
         progress : callable, optional
@@ -188,8 +192,10 @@ class ShapeSearch:
             if profile.bound - self.chance * chi2.isf(BY_CHANCE, profile.rank) <= most:
                 break  # no shape of it explains more, nor of those that come after
             objective = ShapeObjective(self.grammar, profile, self.inner.axis, self.chance)
+            simple = smallest(objective.grammar, objective.start, MOST_SIMPLE)
             run_search(
-                strategy(LEVELS), objective, Budget(n_scored=self.budget), rng=rng, is_part=True,
+                strategy(LEVELS, tuple(simple)), objective,
+                Budget(n_scored=len(simple) + self.budget), rng=rng, is_part=True,
                 callback=_Patience(progress),
             )  # fmt: skip
             self.null = np.maximum(self.null, objective.null_gain)
@@ -353,9 +359,11 @@ class ShapeObjective:
         fits = [self._fit(e) for e in new]
         for fit in fits:
             fit.design()
-        order = sorted(fits, key=lambda fit: -fit.gain)
-        for fit in order[: math.ceil(POLISHED * len(fits))]:
-            fit.polish()
+        best = fits
+        for share, steps in POLISHED:
+            best = sorted(best, key=lambda fit: -fit.gain)[: math.ceil(share * len(best))]
+            for fit in best:
+                fit.polish(steps)
         for expression, fit in zip(new, fits, strict=True):
             self._settle(expression, fit)
         return self.known(expressions)
@@ -432,7 +440,7 @@ class _Fit:
         self.axes = {**profile.axes, **{name: axes[name] for name in formula.constants}}
         ends = [(axis.low, axis.high) for axis in self.axes.values()]
         self.low, self.high = np.array(ends).T
-        self.gain, self.at, self._starts = 0.0, None, None
+        self.gain, self.at, self._starts, self._damping = 0.0, None, None, None
 
     def design(self):
         """Score it at points all over the ranges of its constants."""
@@ -445,14 +453,15 @@ class _Fit:
         best = np.argsort(-gains, kind="stable")[:N_POLISHED]
         self.gain, self.at, self._starts = float(gains[best[0]]), points[best[0]], points[best]
 
-    def polish(self):
-        """Fit the constants, from the best of these points."""
+    def polish(self, n_steps=POLISHED[-1][1]):
+        """Fit the constants, from the best of these points, or go on with that."""
         if not self.gain > 0:
             return
-        at, target = self._starts, self.profile.target
-        damping = np.full(len(at), 1e-2)
+        at, target, damping = self._starts, self.profile.target, self._damping
+        if damping is None:
+            damping = np.full(len(at), 1e-2)
         gains = np.square(self.profile.unit(self.values(at)) @ target)
-        for _ in range(STEPS):
+        for _ in range(n_steps):
             steps = self._steps(at, damping)
             trial = np.clip(at + steps, self.low, self.high)
             unit = self.profile.unit(self.values(trial))
@@ -464,6 +473,7 @@ class _Fit:
             damping = np.where(is_better, damping / 5, damping * 5)
             if (settled & is_better).any() or damping.min() > 1e6:
                 break
+        self._starts, self._damping = at, damping
         best = int(np.argmax(gains))
         if gains[best] > self.gain:
             self.gain, self.at = float(gains[best]), at[best]
@@ -534,7 +544,8 @@ class _Fit:
         """The force with this shape; one that is a power has no scale, which is but a strength."""
         at = {name: float(axis.values(c))
               for (name, axis), c in zip(self.axes.items(), self.at, strict=True)}  # fmt: skip
-        way, formula = self.profile.way, tidied(self.formula)
+        way, parts = self.profile.way, factors(tidied(self.formula))[0]
+        formula = product([part for part in parts if not isinstance(part, Number)])  # a strength
         power = _power_in(formula, at)
         if power is None:
             return Shape(way.form(formula), at, self.gain)
@@ -572,25 +583,28 @@ def tidied(formula):
 
 
 def _multiplied(args):
-    """A product in which every base stands once, and no number."""
-    powers = {}
+    """A product in which every base stands once, a number before all others."""
+    powers, number = {}, 1.0
     for part in (each for arg in args for each in factors(arg)[0]):
         base, power = _power_of(part)
-        powers[base] = powers.get(base, 0.0) + power
+        if isinstance(base, Number):
+            number *= base.value**power
+        else:
+            powers[base] = powers.get(base, 0.0) + power
     parts = [_raised(base, power) for base, power in powers.items() if power]
-    parts = sorted((p for p in parts if not isinstance(p, Number)), key=to_text)
-    return product(parts or [Number(1.0)])
+    parts.sort(key=to_text)
+    return product(parts if number == 1.0 and parts else [Number(number), *parts])
 
 
 def _power_of(formula):
-    """Base and power of a part of a product; a sign is left to the strength."""
+    """Base and power of a part of a product."""
     power = 1.0
     while isinstance(formula, Call):
         if formula.operator in ("inverse", "square", "sqrt"):
             power *= {"inverse": -1.0, "square": 2.0, "sqrt": 0.5}[formula.operator]
         elif formula.operator == "pow" and isinstance(formula.args[1], Number):
             power *= formula.args[1].value
-        elif formula.operator != "neg":
+        else:
             break
         formula = formula.args[0]
     return formula, power

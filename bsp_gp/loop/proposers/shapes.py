@@ -93,11 +93,11 @@ class Shapes:
         return shapes
 
 
-def _genetic(max_levels):
+def _genetic(max_levels, seeds):
     """Genetic programming, which breeds them."""
     from bsp_gp.search.genetic import Genetic  # DEAP is slow to import
 
-    return Genetic(max_levels=max_levels)
+    return Genetic(max_levels=max_levels, seeds=seeds)
 
 
 class _Clock:
@@ -115,8 +115,8 @@ class _Clock:
         return self.was_over
 
 
-def _genetic(max_levels):
+def _genetic(max_levels, seeds):
     """Genetic programming, which breeds them."""
     from bsp_gp.search.genetic import Genetic  # DEAP is slow to import
 
-    return Genetic(max_levels=max_levels)
+    return Genetic(max_levels=max_levels, seeds=seeds)
