@@ -587,7 +587,7 @@ def _multiplied(args):
     powers, number = {}, 1.0
     for part in (each for arg in args for each in factors(arg)[0]):
         base, power = _power_of(part)
-        if isinstance(base, Number):
+        if isinstance(base, Number) and (base.value > 0 or power == 1.0):
             number *= base.value**power
         else:
             powers[base] = powers.get(base, 0.0) + power

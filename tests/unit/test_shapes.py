@@ -123,7 +123,8 @@ def test_a_search_is_the_same_for_the_same_seed():
 VARIANTS = {
     "1 + (x - 1)": "x", "1 - (x + 1)": "-x", "x - -2": "2 + x", "pow(x, -2)": "inverse(x^2)",
     "x * inverse(sqrt(x))": "sqrt(x)", "x * inverse(x)": "1", "pow(x, 1)": "x",
-    "sqrt(x) * exp(-x) * x": "exp(-x) * x^1.5",
+    "sqrt(x) * exp(-x) * x": "exp(-x) * x^1.5", "x * inverse(1 - 1)": "inverse(0) * x",
+    "x * sqrt(0 - 2)": "sqrt(-2) * x", "x * 3": "3 * x",
 }  # fmt: skip
 
 
