@@ -52,6 +52,8 @@ BY_CHANCE = 0.01
 POLISHED, N_POLISHED = ((0.25, 3), (0.25, 12)), 3
 """Parts of new shapes that are fitted, the best, with steps at the most, and again of these; and
 points from which each is."""
+STEEPEST = 1e100
+"""Slope of a shape by a constant that says something."""
 MOST_SIMPLE = 6000
 """Shapes with which a search begins: all of so many rules, of which there are no more."""
 IDLE, WORTH = 5, 0.1
@@ -515,12 +517,14 @@ class _Fit:
         values = np.where(is_fine, values / np.where(top > 0, top, 1.0), 0.0)
         moments = values @ self.profile.moments.T
         own, by = moments[:, 0], (moments[:, 1:] - moments[:, :1]) / change[:, :, None]
-        size = np.maximum(np.square(own).sum(axis=1), np.finfo(float).tiny)[:, None]
-        target = self.profile.target
-        strength = (own @ target)[:, None] / size
+        size, target = np.square(own).sum(axis=1)[:, None], self.profile.target
+        is_seen = size > np.square(FLAT * self.profile.size)
+        size = np.where(is_seen, size, 1.0)
+        strength = np.where(is_seen, (own @ target)[:, None] / size, 0.0)
         left = target - strength * own
         along = np.einsum("skm,sm->sk", by, own) / size
         slopes = strength[:, :, None] * (by - along[:, :, None] * own[:, None])
+        slopes = np.where(np.abs(slopes) < STEEPEST, slopes, 0.0)  # squares must be numbers
         gram = np.einsum("skm,slm->skl", slopes, slopes)
         towards = np.einsum("skm,sm->sk", slopes, left)
         diagonal = np.einsum("skk->sk", gram)
@@ -650,9 +654,8 @@ def _added(operator, one, other):
 
 
 def _is_folded(formula):
-    """Whether nothing in a formula is a function of numbers alone."""
-    calls = (node for node in walk(formula) if isinstance(node, Call))
-    return not any(all(isinstance(arg, Number) for arg in call.args) for call in calls)
+    """Whether nothing in a formula is a function of numbers and constants alone."""
+    return all(node.inputs for node in walk(formula) if isinstance(node, Call))
 
 
 def _numbered(formula):

@@ -127,7 +127,10 @@ def test_a_power_is_as_stated_where_its_neighbours_are_excluded():
 
 @pytest.mark.slow
 def test_what_stands_beside_a_description_is_none_the_surer():
-    data = thrown(lambda t, p, v: 0.15 + 0.12 * np.sin(2.5 * p[0]), n_scenes=8)
+    def drag(t, p, v):  # a function of two variables, which is bred of none
+        return 0.15 + 0.12 * np.sin(2.5 * p[0]) * np.sin(2.5 * p[1])
+
+    data = thrown(drag, n_scenes=8)
     report = close_loop(data, (GRAVITY,), rng=np.random.default_rng(0), n_bootstrap=0, max_rounds=2)
     first, second = report.rounds
     assert report.verdict == "effective law"

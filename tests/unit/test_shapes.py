@@ -24,6 +24,7 @@ from bsp_gp.search.genetic import Genetic
 from bsp_gp.search.inner import InnerSearch
 from bsp_gp.search.shapes import Profile, ShapeSearch, X, read_ways, tidied
 from tests.fitted_tracks import body, dataset_of, scene_of
+from tests.unit.test_constancy import GRAVITY, thrown
 
 PHYSICS = load_grammar("physics")
 DT = 0.05
@@ -184,6 +185,17 @@ def test_a_grammar_with_odd_shapes_is_refused(change, message):
     change(source["shapes"])
     with pytest.raises(GrammarError, match=message):
         read_grammar(source)
+
+
+@pytest.mark.slow
+def test_a_drag_that_waves_along_the_way_is_found_by_its_wave():
+    """It had been a drag with a strength for each scene."""
+    data = thrown(lambda t, p, v: 0.15 + 0.12 * np.sin(2.5 * p[0]), n_scenes=8)
+    report = close_loop(data, (GRAVITY,), rng=0, n_bootstrap=0, max_rounds=2)
+    effect = report.rounds[0].effect
+    assert (effect.code, report.rounds[1].verdict) == ("shape", "nothing missing")
+    known = {c.name: c.value for c in effect.constants}
+    assert 1 / known["D1"] == pytest.approx(2.5, rel=0.03)
 
 
 @pytest.mark.slow
