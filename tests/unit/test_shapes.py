@@ -141,7 +141,7 @@ def test_tidied_shapes_have_the_same_values(seed):
     rng = np.random.default_rng(seed)
     grammar, _ = PHYSICS.shapes.masked({"x"})
     formula = to_formula(Pcfg.uniform(grammar).sample(rng, "Shape", 8), grammar)
-    constants = {name: float(rng.integers(-4, 5)) / 2 for name in ("n", "d")}
+    constants = {name: float(rng.integers(-4, 5)) / 2 for name in ("n", "d", "k")}
     values = {"x": np.array([0.3, 1.1, 2.7])}
     numbers = {Constant(name): Number(value) for name, value in constants.items()}
     short = tidied(substitute(formula, numbers))

@@ -15,18 +15,17 @@ from bsp_gp.loop.proposers.inside import (
     shown_of,
     sums,
 )
+from bsp_gp.loop.proposers.libraries import SERIES
 from bsp_gp.loop.view import MOST_PAIRS, MOST_WEIGHTS
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.search.shapes import ShapeSearch, read_ways
-
-LEAST_NATS = 8.0
-"""What the simplest shape costs that no listed form has: its rules, and a constant inside."""
 
 
 class Shapes:
     """Shapes of one variable, bred where forms that are listed leave more than noise.
 
-    Alone, and beside steady pushes, which hide what other forces depend on.
+    Alone, and beside steady pushes, which hide what other forces depend on. Like series they may
+    stand for a force of any form, and are as dear.
 
     Parameters
     ----------
@@ -47,7 +46,8 @@ class Shapes:
     def propose(self, view):
         """The family of shapes, where one may be likelier than all that is listed."""
         null, size = np.zeros(view.moment_draws.shape[1]), float(view.left @ view.left)
-        nats = math.log(max(len(self.ways), 1)) + LEAST_NATS + view.criteria.cause_nats
+        odd = math.log(max(len(self.ways), 1)) + SERIES
+        nats = odd + view.criteria.cause_nats
         most = 0.5 * (size - stats.chi2.isf(1 - view.criteria.alpha, max(view.n_left, 1)))
         if not self.ways or most < max(view.foremost, 0.0) + nats:
             return Family(self.name, null=null)  # if one left noise alone it would be no likelier
@@ -64,8 +64,7 @@ class Shapes:
             least += is_sum * view.criteria.cause_nats
             bred.append(self._bred(view, search, beside, 2 * least, clock))
             for shape in bred[-1].found:
-                odd = shape.nats + math.log(len(self.ways))
-                scan = scan_at(search, replace(shape.form, nats=odd), shape.at)
+                scan = scan_at(search, replace(shape.form, nats=shape.nats + odd), shape.at)
                 ones = [form_at(view, search, scan.form, shape.at)]
                 ones += sums(view, search, scan, shown, None) if is_sum else ()
                 proposals += [replace(p, code="shape") for p in ones]
