@@ -564,6 +564,8 @@ class InnerSearch:
     def moments_of_functions(self, term, variable, functions):
         """Moments of a term times each of some functions of a scalar, (n, C).
 
+        They are not finite where the term is not, on a body that is seen.
+
         Parameters
         ----------
         functions : callable
@@ -574,9 +576,11 @@ class InnerSearch:
             lookup, cache = self._lookup(index, term), self._cache(index, term)
             force = evaluate(term.acceleration_formula, lookup, {}, cache)
             value = np.nan_to_num(functions(evaluate(variable, lookup, {}, cache)))
-            value = np.moveaxis(value, -1, 0)[..., None] * force
-            whole = Settling(term, batch.bodies)(value, (len(value), *batch.target.shape))
-            moments = batch.whiten(np.moveaxis(whole, 0, 3))
+            with np.errstate(invalid="ignore", over="ignore"):
+                value = np.moveaxis(value, -1, 0)[..., None] * force
+                whole = Settling(term, batch.bodies)(value, (len(value), *batch.target.shape))
+                whole = np.where(batch.valid, whole, 0.0)
+                moments = batch.whiten(np.moveaxis(whole, 0, 3))
             parts.append(np.moveaxis(moments, 3, -1).reshape(-1, len(value)))
         return np.concatenate(parts)
 

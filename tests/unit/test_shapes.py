@@ -1,6 +1,7 @@
 """Shapes of one variable: bounded by their profile, bred, fitted, told with simple numbers."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -104,6 +105,15 @@ def test_no_shape_explains_more_than_its_profile():
     own = np.square(profile.unit(knots) @ profile.target)  # as a law has it, without a profile
     column = build_regression(data.scenes, sigma=1e-3).column(Term(form))[0][:, 0]
     assert own == pytest.approx((column @ inner.target) ** 2 / (column @ column), rel=1e-6)
+
+
+def test_a_way_that_is_infinite_on_a_body_is_none():
+    data = discs(lambda a, b, r: a * b / r, n_scenes=1)
+    inner, ways = search_of(data)
+    way = replace(ways[0], term=Term(parse_formula(
+        "inverse(m_i - m_i) * normalize(p_i - p_j)", dataset_types(data))))  # fmt: skip
+    assert Profile.of(inner, way) is None
+    assert Profile.of(inner, ways[0]) is not None
 
 
 def test_ways_that_cannot_explain_enough_are_not_searched():
