@@ -317,7 +317,7 @@ def test_braces_stand_for_each_text_of_their_list():
 )
 def test_a_form_that_cannot_be_scanned_is_refused_at_once(changes, said):
     inside = {"ranges": {"n": "-4 .. 4"}, **changes}
-    source = {**load_grammar("physics").source, "inside": inside, "beyond": {}}
+    source = {**load_grammar("physics").source, "inside": inside, "beyond": {}, "shapes": {}}
     data = dataset_of([scene_of(TIMES, (body("ball"),), np.zeros((40, 1, 2)))])
     with pytest.raises(GrammarError, match=said):
         Inside(Laws(read_grammar(source), data), data)
