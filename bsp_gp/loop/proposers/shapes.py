@@ -112,10 +112,3 @@ class _Clock:
         except TimeIsUp:
             self.was_over = True
         return self.was_over
-
-
-def _genetic(max_levels, seeds):
-    """Genetic programming, which breeds them."""
-    from bsp_gp.search.genetic import Genetic  # DEAP is slow to import
-
-    return Genetic(max_levels=max_levels, seeds=seeds)
