@@ -9,7 +9,6 @@ that is not installed is left out).
 
 import sys
 import time
-from copy import copy
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
@@ -37,7 +36,6 @@ from bsp_gp.language.render import to_text
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import ForceLaw, Term
 from bsp_gp.physics.likelihood import build_regression
-from bsp_gp.search.columns import orthonormal
 from bsp_gp.search.compare import certified
 from bsp_gp.search.constants import fit_constants
 from bsp_gp.search.exhaustive import search_exhaustive
@@ -171,10 +169,7 @@ class Tried:
     def beside(self):
         """Two of them at once."""
         for lead in self.leads[:MOST_LEADS]:
-            taken = orthonormal(self.search.linearised(lead), len(self.objective.y))
-            other = copy(self.search)
-            other.beside = lambda columns, q=taken: columns - q @ (q.T @ columns)
-            other.target = other.beside(self.search.target)
+            other = self.search.besides(self.search.linearised(lead))
             for scan in self.scanned(other)[:MOST_LEADS]:
                 self.take(law_of([(self.search, lead), (other, scan)]))
 

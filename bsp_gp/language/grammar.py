@@ -550,7 +550,7 @@ def _check_shapes(source):
     if not are_texts or "Shape" not in rules:
         raise GrammarError("[shapes.rules] needs texts as [rules] does, among them Shape")
     ranges = source.get("inside", {}).get("ranges", {})
-    for one in of if isinstance(of, list) else [None]:
+    for one in of if of and isinstance(of, list) else [None]:
         is_good = isinstance(one, dict) and {"variable", "scale", "times"} <= set(one)
         is_good = is_good and set(one) <= {"variable", "scale", "times", "offset"}
         is_good = is_good and isinstance(one["variable"], str) and isinstance(one["times"], list)

@@ -21,7 +21,6 @@ NEW = 2
 on one side of a place; that of one which none has is greater."""
 UNIFORM = frozenset(("e_x", "e_y", "e_z", "up", "down", "m_i"))
 """What a uniform push is made of."""
-"""What steady pushes depend on."""
 PATIENT = 5
 """Times the usual effort that a fit may take which is not given up so soon."""
 

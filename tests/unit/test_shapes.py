@@ -17,13 +17,14 @@ from bsp_gp.language.grammar import load_grammar, read_grammar
 from bsp_gp.language.parse import parse_formula
 from bsp_gp.language.pcfg import Pcfg
 from bsp_gp.language.render import to_text
+from bsp_gp.language.tidy import tidied
 from bsp_gp.physics.bodies import dataset_types
 from bsp_gp.physics.force import Term, constant_units
 from bsp_gp.physics.likelihood import build_regression
 from bsp_gp.report.naming import describe
 from bsp_gp.search.genetic import Genetic
 from bsp_gp.search.inner import InnerSearch
-from bsp_gp.search.shapes import Profile, ShapeSearch, X, read_ways, tidied
+from bsp_gp.search.shapes import Profile, ShapeSearch, X, read_ways
 from tests.fitted_tracks import body, dataset_of, scene_of
 from tests.unit.test_constancy import GRAVITY, thrown
 
@@ -186,6 +187,7 @@ def test_a_bred_force_is_named_by_what_it_depends_on():
     (lambda shapes: shapes.pop("rules"), "has a list, of"),
     (lambda shapes: shapes["rules"].pop("Shape"), "among them Shape"),
     (lambda shapes: shapes["of"][0].pop("scale"), "each needs a variable"),
+    (lambda shapes: shapes.update(of=[]), "each needs a variable"),
     (lambda shapes: shapes["of"][0].update(scale="Q"), "'Q' has no range"),
     (lambda shapes: shapes["of"][0].update(times="v_i"), "each needs a variable"),
     (lambda shapes: shapes["rules"].update(Factor="sin(p_i)"), "unknown name 'p_i'"),
