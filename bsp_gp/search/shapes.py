@@ -169,7 +169,7 @@ class ShapeSearch:
     def __init__(self, grammar, inner, ways, budget, chance=1.0):
         self.grammar, self.inner, self.ways, self.budget = grammar, inner, ways, budget
         self.chance = chance
-        self.null = np.zeros(inner.draws.shape[1])
+        self.gain, self.null = 0.0, np.zeros(inner.draws.shape[1])
         self.n_tried, self.bounds, self.found = 0, {}, ()
 
     def run(self, strategy, rng, *, least=0.0, progress=None):
@@ -196,6 +196,7 @@ class ShapeSearch:
                 Budget(n_scored=len(simple) + self.budget), rng=rng, is_part=True,
                 callback=_Patience(progress),
             )  # fmt: skip
+            self.gain = max(self.gain, objective.first_gain)
             self.null = np.maximum(self.null, objective.null_gain)
             self.n_tried += objective.n_scored
             self.bounds[profile.way] = profile.bound
@@ -318,8 +319,9 @@ class ShapeObjective:
     Attributes
     ----------
     best : dict of int to (Expression, Score)
-    null_gain : ndarray, shape (B,)
-        The most that any shape that was scored explains of each draw of noise.
+    first_gain, null_gain : float and ndarray, shape (B,)
+        The most that any shape explains of the target, and of each draw of noise, at the points at
+        which its constants are first scored: like beside like.
     """
 
     n_grids = 0
@@ -329,7 +331,7 @@ class ShapeObjective:
         self.grammar, _ = grammar.masked(inputs)
         self.profile, self._axis, self.chance = profile, axis, chance
         self.start = self.grammar.start["field"]
-        self.null_gain = np.zeros(profile.draws.shape[1])
+        self.first_gain, self.null_gain = 0.0, np.zeros(profile.draws.shape[1])
         self.n_scored = self.n_failed = 0
         self.best, self._scores, self._fits, self._numbers = {}, {}, {}, {}
         probabilities = Pcfg.uniform(self.grammar).probabilities
@@ -357,6 +359,7 @@ class ShapeObjective:
         fits = [self._fit(e) for e in new]
         for fit in fits:
             fit.design()
+            self.first_gain = max(self.first_gain, fit.gain)
         best = fits
         for share, steps in POLISHED:
             best = sorted(best, key=lambda fit: -fit.gain)[: math.ceil(share * len(best))]

@@ -70,7 +70,7 @@ class Shapes:
                 proposals += [replace(p, code="shape") for p in ones]
         least = max(view.foremost, 0.0) - view.criteria.class_nats
         proposals = sorted((p for p in proposals if p.promise > least), key=lambda p: -p.promise)
-        gain = max((p.gain for p in proposals), default=0.0)
+        gain = max(own.gain for own in bred) if proposals else 0.0
         return Family(
             self.name, tuple(proposals), gain, 1 if proposals else 0,
             np.max([null, *(own.null for own in bred)], axis=0),
