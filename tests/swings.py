@@ -32,8 +32,13 @@ def bob(*args, units=("m", "s"), **kwargs):
     )
 
 
-def double_bob(ratio=1.5, n=240, dt=1 / 60, sigma=1e-3, begin=(0.9, -0.5), entities=None):
-    """Two bobs: B, `ratio` times as heavy as A, on a rod of 0.25 m to it, A on one of 0.15 m."""
+def double_bob(
+    ratio=1.5, n=240, dt=1 / 60, sigma=1e-3, begin=(0.9, -0.5), entities=None, marks_nail=False
+):  # fmt: skip
+    """Two bobs: B, `ratio` times as heavy as A, on a rod of 0.25 m to it, A on one of 0.15 m.
+
+    `marks_nail`: what A hangs from is followed as well.
+    """
     one, other, t = 0.15, 0.25, np.arange(n) * dt
 
     def rate(_, z):
@@ -47,6 +52,8 @@ def double_bob(ratio=1.5, n=240, dt=1 / 60, sigma=1e-3, begin=(0.9, -0.5), entit
     a, b, *_ = solve_ivp(rate, (0, t[-1]), [*begin, 0, 0], t_eval=t, rtol=1e-10, atol=1e-10).y
     places = {"A": (0.03 + one * np.sin(a), -0.02 - one * np.cos(a))}
     places["B"] = places["A"][0] + other * np.sin(b), places["A"][1] - other * np.cos(b)
+    if marks_nail:
+        places["nail"] = np.full(n, 0.03), np.full(n, -0.02)
     noise = np.random.default_rng(0)
     frames = [
         pd.DataFrame({"t": t, "entity": name, "x": x + noise.normal(0, sigma, n),

@@ -201,6 +201,26 @@ def test_bobs_that_hang_from_one_another_are_held_at_once_and_tell_their_masses(
     assert (told["L1"], told["L2"]) == pytest.approx((0.15, 0.25), abs=2e-3)
 
 
+def test_bobs_may_hang_from_what_is_marked_and_never_moves():
+    """A traceback: a rod to a body that stays where it is had no way that a weight pulls."""
+    data = with_usable_masses(double_bob(marks_nail=True))
+    proposals = Rods().propose(looked_at(data, [])).proposals
+    (hung,) = [p for p in proposals if p.code == "rods" and "nail" in p.text]
+    found = fit(hung.hypothesis, data)
+    assert found.law.constants["mass[B]"] == pytest.approx(1.5, rel=0.02)
+    assert (found.law.constants["L1"], found.law.constants["L2"]) == pytest.approx(
+        (0.15, 0.25), abs=2e-3
+    )
+
+
+def test_all_rods_of_a_chain_come_before_each_alone():
+    """The lower bob of a small swing is about on a circle: an effective law was told of that."""
+    data = with_usable_masses(double_bob(begin=(0.3, 0.35)))
+    first, *others = Rods().propose(looked_at(data, [])).proposals
+    assert first.code == "rods" and first.gain >= max(p.gain for p in others)
+    assert "v_i" in to_text(first.instead.hypothesis.law.terms[-1].formula)
+
+
 def test_masses_told_by_one_recording_are_those_of_another():
     """Beyond the recordings that were fitted the mass was one."""
     data = with_usable_masses(double_bob(ratio=3.0, n=120))

@@ -55,7 +55,7 @@ class Rods:
         others = free if len(free) <= MOST_BODIES else []
         still = [name for name in tracks if name not in names]
         found += [
-            together(one, other, tracks)
+            together(one, other, tracks, other in still)
             for k, one in enumerate(free) for other in (*others[k + 1 :], *still)
         ]  # fmt: skip
         found = [kept for kept in found if kept is not None]
@@ -77,15 +77,17 @@ def _proposal(view, kept, every, n_tried):
     if not np.isfinite(np.array(fit.noise.levels)).all():
         return None
     level = _level(view, kept)
-    gain, n_rows = _misfit(fit, kept, level)
-    if gain < (MISFIT - 1) * n_rows:
+    misfits = _misfits(fit, kept, level)
+    if not _is_misfit(misfits):
         return None
+    # A rod between two explains of either no more than it can of the other.
+    gain = min(gain for gain, _ in misfits)
     names = [fresh_name(fit.law, stem) for stem in kept.stems]
     try:
         part = _part(view.dataset, kept, names)
     except LawError:  # masses that a rod would need are not known
         return None
-    pushes, braked, starts = _pushes(view, kept)
+    pushes, drag, starts = _pushes(view, kept)
     log_prior = -view.criteria.cause_nats * (1 + len(pushes)) - math.log(n_tried)
     text = _text(kept)
     is_sole = kept.is_sole and _share(fit, every) > MOST
@@ -95,20 +97,26 @@ def _proposal(view, kept, every, n_tried):
         judged=beside_probes(fit, hypothesis), error=level, is_sole=is_sole, patience=PATIENT,
         is_afresh=True, is_alike=bool(kept.way) and not (kept.is_sole or fit.law.terms),
     )  # fmt: skip
-    if not braked:
-        return proposal
-    # What is slowed down on its way over the top is not followed without that.
-    other = replace(
-        proposal, hypothesis=_under(hypothesis, braked, starts), rank=proposal.rank + len(braked),
-        log_prior=log_prior - view.criteria.cause_nats,
+    return replace(proposal, instead=_slowed(view, proposal, drag, starts)) if drag else proposal
+
+
+def _slowed(view, proposal, drag, starts=None):
+    """The proposal beside a drag: what is slowed down is not followed over the top without it."""
+    return replace(
+        proposal, hypothesis=_under(proposal.hypothesis, (drag,), starts or {}),
+        rank=proposal.rank + 1, log_prior=proposal.log_prior - view.criteria.cause_nats,
     )  # fmt: skip
-    return replace(proposal, instead=other)
 
 
 def _level(view, kept):
-    """That of the noise of a quantity, as far as its rows and the fit tell it."""
+    """That of the noise of a quantity, as far as its rows and the fit tell it.
+
+    No more than the quantity itself is off: a memory of the noise may have taken up what a motion
+    is, and tells nothing then of how much of the errors rows do not show.
+    """
     noise = view.fit.noise
-    return max(kept.level * _unseen(noise, view.step), float(np.max(noise.lowest)))
+    level = min(kept.level * _unseen(noise, view.step), max(kept.spread, kept.level))
+    return max(level, float(np.max(noise.lowest)))
 
 
 def _part(dataset, kept, names):
@@ -157,9 +165,10 @@ def _hung(view, chain, n_tried):
     fit, law = view.fit, view.fit.law
     if law.terms or not np.isfinite(np.array(fit.noise.levels)).all():
         return None
-    scored = [(kept, _level(view, kept)) for kept in chain]
-    seen = [_misfit(fit, kept, level) for kept, level in scored]
-    if sum(gain for gain, _ in seen) < (MISFIT - 1) * sum(n for _, n in seen):
+    level = min(_level(view, kept) for kept in chain)  # of a place, not of how two are apart
+    bodies = dict.fromkeys(name for kept in chain for name in kept.pair)
+    misfits = _misfits_of(fit, bodies, level)
+    if not _is_misfit(misfits):
         return None
     hypothesis, dataset = view.hypothesis, view.dataset
     if are_assumed(dataset):
@@ -176,17 +185,20 @@ def _hung(view, chain, n_tried):
         return None
     types = dataset_types(dataset)
     mass = Input("m_i", types["m_i"])
-    weight = [Term(Call("mul", Call("mul", Constant(name), mass), along), "field")
-              for name, along, _ in _pulls(law, types, chain[0].way)]  # fmt: skip
-    hypothesis = _under(hypothesis, tuple(weight), {})
+    pulls = _pulls(law, types, chain[0].way)
+    weight = tuple(_force(name, Call("mul", mass, along)) for name, along, _ in pulls)
+    taken |= {name for term in weight for name in term.formula.constants}
+    drag = _force(numbered("c", taken), Call("mul", mass, Input("v_i", STATE_INPUTS["v_i"])))
+    hypothesis = _under(hypothesis, weight, {})
     n_free = len(hypothesis.parameters) - len(view.hypothesis.parameters)
-    return Proposal(
+    proposal = Proposal(
         "rods", "; ".join(map(_text, chain)), hypothesis,
         -view.criteria.cause_nats * (len(chain) + 1) - math.log(n_tried),
-        max(gain for gain, _ in seen), n_free, kind="constraint",
-        judged=beside_probes(fit, hypothesis), error=max(level for _, level in scored),
-        is_sole=True, patience=PATIENT, is_afresh=True,
+        sum(gain for gain, _ in misfits), n_free, kind="constraint",
+        judged=beside_probes(fit, hypothesis), error=level, is_sole=True, patience=PATIENT,
+        is_afresh=True,
     )  # fmt: skip
+    return replace(proposal, instead=_slowed(view, proposal, drag))
 
 
 def _masses(dataset, names):
@@ -212,18 +224,23 @@ def _pushes(view, kept):
     of step do not find it.
     """
     if view.fit.law.terms or not (kept.is_sole and kept.way):
-        return (), (), {}
+        return (), None, {}
     mass, rate = usual_mass(view.dataset.scenes, kept.pair[0]), 0.0
     if kept.code == "rod" and any(kept.way):
         rate = swing_of(view.fit, body=kept.pair[0])
     pull = mass * rate**2 * kept.values[-1] / (math.hypot(*kept.way) or 1.0)
     pulls = _pulls(view.fit.law, dataset_types(view.dataset), kept.way)
-    terms = [Term(Call("mul", Constant(name), along), "field") for name, along, _ in pulls]
+    terms = [_force(name, along) for name, along, _ in pulls]
     starts = {name: pull * part for name, _, part in pulls} if rate else {}
     name = numbered("c", {*view.fit.law.names, *(one for one, _, _ in pulls)})
-    drag = Call("mul", Constant(name), Input("v_i", STATE_INPUTS["v_i"]))
+    drag = _force(name, Input("v_i", STATE_INPUTS["v_i"]))
     starts |= {name: -mass * max(decay_of(view.fit), LEAST_DRAG * rate)} if rate else {}
-    return tuple(terms), (Term(drag, "field"),), starts
+    return tuple(terms), drag, starts
+
+
+def _force(name, along):
+    """A force of the strength `name`, that acts on a body by itself."""
+    return Term(Call("mul", Constant(name), along), "field")
 
 
 def _pulls(law, types, way):
@@ -250,20 +267,34 @@ def _unseen(noise, step):
     return math.sqrt(20 / (20 + lags @ [-30, 12, -2]))  # third differences
 
 
-def _misfit(fit, kept, level):
-    """Chi-squared that the constraint may take away, in errors of its own, and of how many rows.
+def _is_misfit(misfits):
+    """Whether the law leaves much of some bodies: chi-squared and rows of each."""
+    return sum(gain for gain, _ in misfits) >= (MISFIT - 1) * sum(n for _, n in misfits)
 
-    Of the bodies that it holds alone. One that moves along a line is no body on a wire, unless the
-    law would have it leave it.
+
+def _misfits_of(fit, bodies, level):
+    """Chi-squared that the law leaves of each of some bodies, in errors of a level, and its rows.
+
+    A memory of the noise may have taken up what a motion is: what is left is told without.
     """
-    channels, names = fit.channels, fit.channels.body_names
+    channels, found = fit.channels, []
+    for k, name in enumerate(channels.body_names):
+        seen = channels.seen & (channels.body == k)
+        if name in bodies and seen.any():
+            left, n_rows = fit.residual[seen] / level, np.count_nonzero(seen)
+            found.append((float(np.square(left).sum()) - n_rows, n_rows))
+    return found
+
+
+def _misfits(fit, kept, level):
+    """The same that a constraint may take away, of the bodies that it holds alone.
+
+    One that moves along a line is no body on a wire, unless the law would have it leave it.
+    """
     if kept.normal is None:
-        own = np.isin(channels.body, [k for k, name in enumerate(names) if name in kept.pair])
-        seen = channels.seen & own
-        # A memory of the noise may have taken up what a motion is: what is left is told without.
-        left = float(np.square(fit.residual[seen] / level).sum())
-        return left - np.count_nonzero(seen), np.count_nonzero(seen)
-    mine = names.index(kept.pair[0])
+        return _misfits_of(fit, kept.pair, level)
+    channels = fit.channels
+    mine = channels.body_names.index(kept.pair[0])
     across = []
     for chain in np.unique(channels.chain):
         own = (channels.chain == chain) & (channels.body == mine)
@@ -273,7 +304,7 @@ def _misfit(fit, kept, level):
             across.append(np.array(kept.normal) @ rows)
     left = np.concatenate(across) / level
     left = left[np.isfinite(left)]
-    return float(np.square(left).sum()) - len(left), len(left)
+    return [(float(np.square(left).sum()) - len(left), len(left))]
 
 
 def _share(fit, bodies):

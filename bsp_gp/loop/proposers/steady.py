@@ -42,10 +42,10 @@ EXACT = 1e-7
 class Kept:
     """A quantity that stays constant, as the constraint `text` with places for names says.
 
-    `level` is that of the noise, told by changes from row to row, and `spread` that of places about
-    a curve, metres. `is_sole`: nothing else would keep the quantity; an orbit may be round, at an
-    even speed. `normal` is across a line or plane; `way` is whither a weight pulls that keeps the
-    body swinging.
+    `level` is that of the noise, told by changes from row to row, and `spread` how far the quantity
+    is off what it is kept at, root mean square, metres. `is_sole`: nothing else would keep it; an
+    orbit may be round, at an even speed. `normal` is across a line or plane; `way` is whither a
+    weight pulls that keeps the body swinging.
     """
 
     code: str
@@ -54,9 +54,9 @@ class Kept:
     stems: tuple
     values: tuple
     level: float
+    spread: float
     is_sole: bool = False
     normal: tuple | None = None
-    spread: float = 0.0
     way: tuple = ()
 
 
@@ -91,7 +91,7 @@ def alone(name, tracks, up=""):
         names = "xyz"[: len(middle)]
         text = " + ".join(f"{axes[-1][k]:.6g} * {x}_i" for k, x in enumerate(names)) + " = {0}"
         values = (float(middle @ axes[-1]),)
-        return Kept("wire", text, (name, ""), ("b",), values, level, normal=tuple(axes[-1]))
+        return Kept("wire", text, (name, ""), ("b",), values, level, bend, normal=tuple(axes[-1]))
     curve = _along_a_curve(name, tracks, up) if len(middle) == 2 else None
     centre, radius = _sphere(places[seen])
     spread, level = deviation({k: np.linalg.norm(p - centre, axis=1) for k, p in tracks.items()})
@@ -105,7 +105,7 @@ def alone(name, tracks, up=""):
     point = ", ".join(f"{{{k}}}" for k in range(len(centre)))
     text = f"norm(p_i - ({point})) = {{{len(centre)}}}"
     values = (*centre.tolist(), radius)
-    rod = Kept("rod", text, (name, ""), (*stems, "L"), values, level, _is_uneven(tracks),
+    rod = Kept("rod", text, (name, ""), (*stems, "L"), values, level, spread, _is_uneven(tracks),
                way=tuple((middle - centre).tolist()))  # fmt: skip
     is_better = curve is not None and curve.spread < CLOSER * spread
     return curve if is_better else rod
@@ -167,7 +167,7 @@ def _kept_curve(name, of, spread, level, curve):
     stems = tuple(f"rail_{k}" for k in ascii_lowercase[: degree + 1])
     return Kept(
         "wire", f"{'xy'[of]}_i = " + " + ".join(terms), (name, ""), stems,
-        tuple(plain.coef.tolist()), level, True, spread=spread,
+        tuple(plain.coef.tolist()), level, spread, True,
         way=tuple(float(k == of) for k in (0, 1)),
     )  # fmt: skip
 
@@ -178,8 +178,11 @@ def _gone_back(places):
     return min(float((np.maximum.accumulate(way) - way).max()) for way in ways)
 
 
-def together(one, other, tracks):
-    """The distance of two bodies, if it stays constant."""
+def together(one, other, tracks, is_still=False):
+    """The distance of two bodies, if it stays constant.
+
+    `is_still`: no force moves the other: it is a nail that the one hangs from.
+    """
     shared = [key for key in tracks[one] if key in tracks[other]]
     if not shared:
         return None
@@ -194,8 +197,9 @@ def together(one, other, tracks):
     ways = {key: tracks[one][key] - tracks[other][key] for key in shared}
     values = (float(np.linalg.norm(moves, axis=1).mean()),)
     return Kept(
-        "rod", "norm(p_i - p_j) = {0}", (one, other), ("L",), values, level, _is_uneven(ways)
-    )
+        "rod", "norm(p_i - p_j) = {0}", (one, other), ("L",), values, level, spread,
+        _is_uneven(ways), way=tuple(moves.mean(axis=0).tolist()) if is_still else (),
+    )  # fmt: skip
 
 
 def _sphere(places):
